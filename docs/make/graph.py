@@ -17,7 +17,7 @@ from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions
+from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions

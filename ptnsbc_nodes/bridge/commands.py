@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
@@ -16,11 +15,6 @@ _FORCE = 21196.0
 """`param2` of the disarm command that also works in the air: a magic number of MAVLink's own."""
 
 _NO_YAW = math.nan
-_ARMING = {
-    CommandRequest.ARM: ("arm", (1.0,)),
-    CommandRequest.DISARM: ("disarm", (0.0,)),
-    CommandRequest.KILL: ("disarm", (0.0, _FORCE)),
-}
 _RATES_HZ = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
@@ -28,11 +22,10 @@ _RATES_HZ = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
 }
-_TRUTH = {
-    "px4": mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
-    "ardupilot": mavlink.MAVLINK_MSG_ID_SIM_STATE,
+_TRUTH_HZ = {  # a real vehicle refuses it
+    "px4": {mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION: 50.0},
+    "ardupilot": {mavlink.MAVLINK_MSG_ID_SIM_STATE: 50.0},
 }
-_TRUTH_HZ = 50.0
 
 
 class Commands:
@@ -41,9 +34,6 @@ class Commands:
     def __init__(self, autopilot: Autopilot, sysid: int) -> None:
         self._autopilot = autopilot
         self._sysid = sysid
-        self._rates_hz = dict(_RATES_HZ)
-        if autopilot.name in _TRUTH:  # a real vehicle refuses it
-            self._rates_hz[_TRUTH[autopilot.name]] = _TRUTH_HZ
         self._sent: Counter[int] = Counter()
         self._landings = 0
         self._names: dict[int, str] = {}
@@ -52,14 +42,47 @@ class Commands:
 
     def message(self, request: CommandRequest, takeoff_height_m: float) -> Any:
         """The command for a request of the procedure."""
-        if request in _ARMING:
-            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, *_ARMING[request])
-        if request is CommandRequest.OWN_MODE:
-            return self._own_mode()
-        if request is CommandRequest.TAKEOFF:
-            parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
-            return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", parameters)
-        return self._land()
+        match request:
+            case CommandRequest.OWN_MODE:
+                return self.own_mode()
+            case CommandRequest.ARM:
+                return self.arm()
+            case CommandRequest.DISARM | CommandRequest.KILL:
+                return self.disarm(force=request is CommandRequest.KILL)
+            case CommandRequest.TAKEOFF:
+                return self.take_off(takeoff_height_m)
+            case CommandRequest.LAND:
+                return self.land()
+
+    def arm(self) -> Any:
+        """The motors start; a PX4 must be in OFFBOARD."""
+        return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", 1.0)
+
+    def disarm(self, *, force: bool) -> Any:
+        """The motors stop; without `force` only on the ground."""
+        return self._long(
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", 0.0, _FORCE if force else 0.0
+        )
+
+    def own_mode(self) -> Any:
+        """The mode in which the vehicle follows setpoints: OFFBOARD of PX4, GUIDED of the others."""
+        name = self._autopilot.own_mode
+        if self._autopilot.attitude_only:
+            base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
+            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, base)
+        return self._mode(FlightMode.OWN, name)
+
+    def take_off(self, height_m: float) -> Any:
+        """Climb to a height above the ground, for vehicles that do not climb by setpoints."""
+        command = mavlink.MAV_CMD_NAV_TAKEOFF
+        return self._long(command, "take off", 0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, height_m)
+
+    def land(self) -> Any:
+        """By mode and by command in turn: every autopilot understands one of the two."""
+        self._landings += 1
+        if self._autopilot.attitude_only or self._landings % 2 == 0:
+            return self._long(mavlink.MAV_CMD_NAV_LAND, "land", 0.0, 0.0, 0.0, _NO_YAW)
+        return self._mode(FlightMode.LAND, "land")
 
     def leave_own_mode(self) -> Any:
         """After landing: leave the own mode, in which PX4 would arm at once the next time."""
@@ -67,14 +90,13 @@ class Commands:
 
     def intervals(self) -> list[Any]:
         """Requests for the messages that the bridge needs; ArduPilot sends none without them."""
-        return [
-            self._long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, "", (float(number), 1e6 / hz))
-            for number, hz in self._rates_hz.items()
-        ]
+        rates_hz = {**_RATES_HZ, **_TRUTH_HZ.get(self._autopilot.name, {})}
+        command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        return [self._long(command, "", float(kind), 1e6 / hz) for kind, hz in rates_hz.items()]
 
     def request(self, message_id: int) -> Any:
         """The request for one message, once."""
-        return self._long(mavlink.MAV_CMD_REQUEST_MESSAGE, "", (float(message_id),))
+        return self._long(mavlink.MAV_CMD_REQUEST_MESSAGE, "", float(message_id))
 
     def on_ack(self, message: Any) -> None:
         """COMMAND_ACK."""
@@ -89,28 +111,14 @@ class Commands:
         result = results[message.result].name if known else f"result {message.result}"
         self.refused = f"{name}: {result.removeprefix('MAV_RESULT_')}"
 
-    def _own_mode(self) -> Any:
-        name = self._autopilot.own_mode
-        if self._autopilot.attitude_only:
-            base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
-            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, (base,))
-        return self._mode(FlightMode.OWN, name)
-
     def _mode(self, mode: FlightMode, name: str) -> Any:
         numbers = self._autopilot.mode_numbers(mode)
         custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-        parameters = (custom, float(numbers.main), float(numbers.sub))
-        return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, parameters)
+        main, sub = float(numbers.main), float(numbers.sub)
+        return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, custom, main, sub)
 
-    def _land(self) -> Any:
-        """By mode and by command in turn: every autopilot understands one of the two."""
-        self._landings += 1
-        if self._autopilot.attitude_only or self._landings % 2 == 0:
-            parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, 0.0)
-            return self._long(mavlink.MAV_CMD_NAV_LAND, "land", parameters)
-        return self._mode(FlightMode.LAND, "land")
-
-    def _long(self, command: int, name: str, parameters: Sequence[float]) -> Any:
+    def _long(self, command: int, name: str, *parameters: float) -> Any:
+        """COMMAND_LONG; an unnamed command is a question, whose refusal is nothing to tell."""
         if name:
             self._names[command] = name
         confirmation = self._sent[command] % 256 if name else 0

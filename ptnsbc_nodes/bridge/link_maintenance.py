@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, refusal
+from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, fate, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
 from ptnsbc_io.mavlink.timesync import TimeSync
@@ -21,6 +21,7 @@ _CONFIRM_S = 0.2  # HEARTBEAT comes once a second, and a pilot must not wait for
 _INTERVALS_S = 5.0
 _SILENT_S = 1.0
 _MIN_INTERVAL_REQUESTS = 2
+_STREAMED_S = 0.1
 LINK_MESSAGES = ("TIMESYNC", "PARAM_VALUE", "COMMAND_ACK")
 
 
@@ -41,12 +42,6 @@ class LinkMaintenance:
         self._next_s: dict[str, float] = {}
 
     @property
-    def sync_text(self) -> str:
-        """The source of the knowledge of the vehicle's clock."""
-        sync = self.sync
-        return f"round trip {1e3 * sync.round_trip_s:.1f} ms" if sync.synchronised else "one-way"
-
-    @property
     def parameter_refusal(self) -> str:
         """The reason why the vehicle cannot be flown with its parameters; empty while they are unknown or right."""
         if not self.parameters_read:
@@ -55,9 +50,9 @@ class LinkMaintenance:
         return refusal(self._vehicle.autopilot, values, setpoint) or ""
 
     @property
-    def parameters(self) -> Mapping[str, float]:
-        """The vehicle's parameters as far as they are known."""
-        return self._parameters.values
+    def fate(self) -> str:
+        """The behaviour of the vehicle when this bridge is silent."""
+        return fate(self._vehicle.autopilot, self._vehicle.mode, self._parameters.values)
 
     def take_parameters(self, now_s: float) -> Mapping[str, float] | None:
         """The vehicle's parameters once all are read; None before, and at every later call."""
@@ -66,6 +61,14 @@ class LinkMaintenance:
             return None
         self.parameters_read = True
         return self._parameters.values
+
+    def ignore_repetitions(self, now_s: float) -> None:
+        """Leave out messages that say what others say: PX4 streams both kinds, angles at 100 Hz without being asked."""
+        pose = self._vehicle.pose
+        ignored = {mavlink.MAVLINK_MSG_ID_ODOMETRY} if pose.leaves_odometry else set()
+        if now_s - pose.quaternion_s < _STREAMED_S:
+            ignored.add(mavlink.MAVLINK_MSG_ID_ATTITUDE)
+        self.link.ignored = frozenset(ignored)
 
     def send_due(self, now_s: float, healthy: bool, clock_jumped: bool) -> None:
         """Send what is due now.

@@ -12,7 +12,7 @@ import numpy as np
 from ptnsbc_core.types import NEAR_COLUMNS, Array
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields, Stamped
-from ptnsbc_nodes.bridge.procedure.companions import Companion
+from ptnsbc_nodes.bridge.procedure.steps import Companion
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.emergency.orders import Order
 
@@ -50,19 +50,32 @@ Log = Callable[[str], None]
 """Takes a line for the operator."""
 
 
-class BridgeOutputs(NamedTuple):
-    """The publishers of a bridge."""
+class BridgeOutputs:
+    """What a bridge tells others; this one tells nobody anything."""
 
-    odom: Callable[[int, Array], None]  # stamp [ns], odometry (13,)
-    track: Callable[[int, Array], None]  # the same, of a vehicle that has left the formation
-    origin: Callable[[GeoPoint], None]  # the leader's place, for all bridges
-    limits: Callable[[SetpointLimits], None]  # for the planner
-    lost: Callable[[], None]  # this vehicle has left the formation
-    log: Log
-    truth: Callable[[int, Array], None] = lambda _stamp_ns, _odometry: None
-    """Stamp [ns] and true odometry (13,) of a simulated vehicle, for the verdict."""
-    apart: Callable[[], None] = lambda: None
-    """This vehicle gives the formation up: all others must as well."""
+    def odom(self, stamp_ns: int, odometry: Array) -> None:
+        """The odometry (13,) of a vehicle in formation."""
+
+    def track(self, stamp_ns: int, odometry: Array) -> None:
+        """The same, of a vehicle that has left the formation."""
+
+    def truth(self, stamp_ns: int, odometry: Array) -> None:
+        """The true odometry (13,) of a simulated vehicle, for the verdict."""
+
+    def origin(self, place: GeoPoint) -> None:
+        """The leader's place, for all bridges."""
+
+    def limits(self, limits: SetpointLimits) -> None:
+        """The limits of the vehicle, for the planner."""
+
+    def lost(self) -> None:
+        """This vehicle has left the formation."""
+
+    def apart(self) -> None:
+        """This vehicle gives the formation up: all others must as well."""
+
+    def log(self, line: str) -> None:
+        """A line for the operator."""
 
 
 class Clocks(NamedTuple):

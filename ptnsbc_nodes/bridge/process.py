@@ -32,7 +32,7 @@ from ptnsbc_nodes.runtime.scenario_parameters import Value
 from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.bridge.node import BridgeNode
+    from ptnsbc_nodes.bridge.bridge_node import BridgeNode
 
 _NO_REAL_TIME = (
     "bridge: no right to real-time scheduling: a busy host may delay setpoints "
@@ -146,7 +146,7 @@ def _open(
         from ptnsbc_io.mavlink.link import MavlinkLink, Signer
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-        from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions
+        from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
     settings = scenario.vehicle_link(uav)

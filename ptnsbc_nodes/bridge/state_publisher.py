@@ -13,7 +13,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink import frames
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
-from ptnsbc_io.wire import Stamped, WireError
+from ptnsbc_io.wire import Stamped, WireError, decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.vehicle_monitor import Anchor, VehicleMonitor
 from ptnsbc_nodes.bridge.vehicle_pose import VehicleState, place_of, true_odometry
@@ -39,16 +39,20 @@ class StatePublisher:
 
     def __init__(
         self,
+        scenario: Scenario,
+        uav_id: int,
         vehicle: VehicleMonitor,
-        world: WorldFrame,
         sync: TimeSync,
-        controller: ControllerSetpoints,
         ports: BridgePorts,
+        *,
+        alone: bool = False,
     ) -> None:
+        """`alone`: no leader flies; this vehicle defines the world by its own start."""
+        attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
+        self.world = WorldFrame(scenario, uav_id, vehicle.autopilot.earth_radius_m, alone=alone)
+        self.controller = ControllerSetpoints(decode_wrench if attitude else decode_velocity)
         self._vehicle = vehicle
-        self.world = world
         self._sync = sync
-        self._controller = controller
         self._ports = ports
         self.odometry: Array | None = None  # newest (13,), world frame
         self.sampled_s = float("-inf")  # of it, on the steady clock
@@ -150,7 +154,7 @@ class StatePublisher:
         stamp_ns = self._stamp(clocks.ros_ns())
         self._published_s = now_s
         published = PublishedOdometry(self.sampled_s, now_s, odometry)
-        self._controller.remember(stamp_ns, published)
+        self.controller.remember(stamp_ns, published)
         if in_formation:
             self._ports.outputs.odom(stamp_ns, odometry)
             self.shared = SharedVehicleState(self.shared.messages + 1, stamp_ns)

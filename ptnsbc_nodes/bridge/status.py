@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 from ptnsbc_nodes.bridge.bridge import Bridge
-from ptnsbc_nodes.bridge.procedure.companions import Companion
-from ptnsbc_nodes.bridge.procedure.safety import procedure_concern
-from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Stream
+from ptnsbc_nodes.bridge.procedure.steps import FLYING, HEARTBEAT_LOST_S, Companion, Step, Stream
 from ptnsbc_nodes.comm.diagnostics import (
     SAFETY,
     Concern,
@@ -21,9 +22,58 @@ from ptnsbc_nodes.comm.diagnostics import (
     readiness,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.emergency.records import VehicleRecord
+from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_sim.scenario import Scenario
 
 _NEVER_S = 1e6
+_RECORD_S = 1.0
+_STATES: Mapping[Step, SafetyState] = {
+    Step.APART: SafetyState.HOLD_CLEAR,
+    Step.LAND: SafetyState.LAND,
+    Step.DISARM: SafetyState.LAND,
+    Step.FAILSAFE: SafetyState.STOP,
+    Step.YIELDED: SafetyState.STOP,
+    Step.KILL: SafetyState.STOP,
+    Step.FAILED: SafetyState.STOP,
+}
+
+
+def new_record(scenario: Scenario, uav_id: int, signing_key: str) -> VehicleRecord:
+    """The record of a vehicle with all that does not change in flight; `signing_key`: path of the key file."""
+    link = scenario.vehicle_link(uav_id)
+    name = (
+        f"bridge{uav_id}"  # the folder is the fleet's own, so a namespace does not belong into it
+    )
+    return VehicleRecord(
+        name, os.getpid(), link.sysid, link.autopilot, link.connect, signing_key=signing_key
+    )
+
+
+class RecordKeeper:
+    """Keeps the record of a vehicle in the runtime folder: at most a second old, and a change is there at once."""
+
+    def __init__(self, bridge: Bridge, base: VehicleRecord, folder: Path | None) -> None:
+        self._bridge, self._base, self._folder = bridge, base, folder
+        self._kept, self._kept_s = base, -math.inf
+
+    @property
+    def present(self) -> VehicleRecord:
+        """The record of now."""
+        return vehicle_record(self._base.name, self._bridge, self._base)
+
+    def encode(self) -> bytes:
+        """The record of now as the answer to an order."""
+        return self.present.encode()
+
+    def keep(self, *, ended: bool = False) -> VehicleRecord:
+        """Write the record of now if its file is older, or says something else; `ended`: the bridge ends in order."""
+        record, now_s = replace(self.present, ended=ended), self._bridge.ports.clocks.steady_s()
+        changed = replace(record, place=self._kept.place) != self._kept
+        if self._folder is not None and (changed or now_s >= self._kept_s + _RECORD_S):
+            self._kept, self._kept_s = record, now_s
+            with suppress(OSError):
+                write_record(self._folder, record)
+        return record
 
 
 def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRecord:
@@ -43,8 +93,8 @@ def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRec
         landed=bool(vehicle.landed),
         in_pilots_hands=procedure.in_pilots_hands,
         mode=vehicle.mode_name,
-        place=bridge.place,
-        fate=bridge.fate if vehicle.armed else "",
+        place=bridge.placement.text,
+        fate=bridge.maintenance.fate if vehicle.armed else "",
         fault=procedure.fault,
     )
 
@@ -97,7 +147,7 @@ def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
 
 def _setpoint_values(bridge: Bridge) -> dict[str, str]:
     """The setpoints that the vehicle gets, and what was learnt of how it follows them."""
-    age_s = bridge.controller.age_s(bridge.ports.clocks.steady_s())
+    age_s = bridge.state_publisher.controller.age_s(bridge.ports.clocks.steady_s())
     following = bridge.stream.following.found()
     attitude = bridge.stream.attitude if bridge.stream.sends_thrust(Stream.PLANNER) else None
     thrust = attitude.thrust_test.found if attitude else None
@@ -115,9 +165,11 @@ def _setpoint_values(bridge: Bridge) -> dict[str, str]:
 
 def _link_values(bridge: Bridge) -> dict[str, str]:
     """The link to the vehicle."""
-    link, latency = bridge.link, bridge.stream.latency
+    link, latency, sync = bridge.link, bridge.stream.latency, bridge.maintenance.sync
     return {
-        "timesync": bridge.maintenance.sync_text,
+        "timesync": f"round trip {1e3 * sync.round_trip_s:.1f} ms"
+        if sync.synchronised
+        else "one-way",
         "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
         "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
         "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
@@ -129,7 +181,7 @@ def _link_values(bridge: Bridge) -> dict[str, str]:
 
 def _message_values(bridge: Bridge) -> dict[str, str]:
     """Counters of states, setpoints and MAVLink messages: sent, dropped, clamped."""
-    state, controller, pose = bridge.state_publisher, bridge.controller, bridge.vehicle.pose
+    state, pose = bridge.state_publisher, bridge.vehicle.pose
     shared = state.shared  # both of its numbers are of one instant: a reader counts what it lacks
     return {
         "states_sent": f"{shared.stamp_ns} {shared.messages}",
@@ -137,11 +189,36 @@ def _message_values(bridge: Bridge) -> dict[str, str]:
         "states_skewed": str(state.dropped["skewed"]),
         "states_invalid": str(pose.invalid),
         "states_doubted": str(pose.rejected),
-        "setpoints_foreign": str(controller.foreign),
-        "setpoints_invalid": str(controller.invalid),
+        "setpoints_foreign": str(state.controller.foreign),
+        "setpoints_invalid": str(state.controller.invalid),
         **{f"dropped_{reason}": str(count) for reason, count in bridge.link.counts.items()},
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
     }
+
+
+def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concern]:
+    """The concerns that the procedure of a vehicle raises; none while the flight goes as planned.
+
+    Args:
+        step: where in the flight the vehicle is.
+        stream: what the setpoint stream carries.
+        fault: why the flight did not go as planned.
+    """
+    state = _STATES.get(step, SafetyState.NOMINAL)
+    if step in (Step.FLY, Step.HELD) and stream is Stream.HOLD:
+        why = (
+            "the setpoints of the controller are late"
+            if step is Step.FLY
+            else "its controller is away"
+        )
+        reason = f"held where it is: {why}"
+        yield Concern(SafetyState.HOLD_CLEAR, DiagnosticLevel.WARN, reason)
+    elif fault and step is not Step.FLY:
+        if step in FLYING:
+            state = SafetyState.DEGRADED
+        yield Concern(state, DiagnosticLevel.ERROR, f"{step.value}: {fault}")
+    elif state is not SafetyState.NOMINAL:
+        yield Concern(state, DiagnosticLevel.OK, step.value)
 
 
 def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> Iterator[Concern]:

@@ -164,7 +164,7 @@ class OrderPort:
     """The bridge's end: a thread that takes orders and answers each."""
 
     def __init__(
-        self, folder: Path, name: str, take: Callable[[Order], None], state: Callable[[], bytes]
+        self, folder: Path, name: str, take: Callable[[Order], object], state: Callable[[], bytes]
     ) -> None:
         """Open the socket.
 

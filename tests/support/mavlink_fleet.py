@@ -8,6 +8,7 @@ the same result on every machine.
 from __future__ import annotations
 
 from collections import deque
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ptnsbc_io.mavlink.transport import Packet
 from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts, Clocks
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
@@ -119,7 +120,7 @@ class FleetUav:
         self.setpoint_template = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
         self.began = False
-        outputs = BridgeOutputs(
+        outputs = SimpleNamespace(
             odom=self.on_odometry,
             track=self.on_track,
             origin=fleet.set_leader_origin,

@@ -9,8 +9,8 @@ from ptnsbc_autopilot.server import Codec
 from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+from ptnsbc_nodes.bridge.hover_test import HoverTest
 from ptnsbc_nodes.bridge.ports import Clocks
-from ptnsbc_nodes.bridge.tuning.hover_test import HoverTest
 from ptnsbc_sim.scenario import load_scenario
 
 NAMES = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}

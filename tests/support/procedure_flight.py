@@ -24,9 +24,7 @@ class Flight:
 
     def __init__(self, autopilot=PX4, allow_arming=True, away_s=0.0):
         self.lines = []
-        log, left_behind = self.lines.append, lambda: self.left_behind
-        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, log, left_behind, away_s)
-        self.left_behind = "armed"
+        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, self.lines.append, away_s)
         self.autopilot = autopilot
         self.snapshot = VehicleSnapshot(
             now_s=0.0,

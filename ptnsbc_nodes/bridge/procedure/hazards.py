@@ -1,7 +1,7 @@
 """The hazards that end a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
 
-The monitor is pure: states in, a reason out. It looks at the vehicle as it flies and at the velocity that its planner
-wants, not at what was sent, so that it sees the same for every kind of setpoint.
+`FlightMonitor` is pure: states in, a reason out. It looks at the vehicle as it flies and at the velocity that its
+planner wants, not at what was sent, so that it sees the same for every kind of setpoint.
 """
 
 from __future__ import annotations
@@ -12,7 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.types import Array
+from ptnsbc_core.curves.shape import places
+from ptnsbc_core.curves.trajectory import Reference, reference
+from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.types import AgentConfig, Array
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
+from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
+from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream
+from ptnsbc_nodes.bridge.state_publisher import StatePublisher
+from ptnsbc_nodes.comm.legs import Epochs, Leg
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.mission.membership import joins_ns, leaves_ns
+from ptnsbc_sim.scenario.model import NANOSECONDS
+from ptnsbc_sim.scenario.slots import are_open
 
 _SOON_S = 0.5  # the predicted paths count so far ahead
 _TOO_NEAR_S = 0.2  # one odd message is no approach
@@ -158,3 +171,151 @@ class FlightMonitor:
             f"its error grows: for {_AGAINST_S:g} s it flies away from its place, "
             f"towards which its planner wants {wanted_m_s:.1f} m/s"
         )
+
+
+class LeaderReference:
+    """Legs and trajectory of a flight, brought up to date by what arrives."""
+
+    def __init__(self, scenario: Scenario, uav_id: int) -> None:
+        self._scenario, self._uav_id = scenario, uav_id
+        self._epochs = Epochs(scenario)
+        self.config = agent_config(scenario, uav_id)
+
+    def update(self, inputs: BridgeInputs) -> None:
+        """Take in the legs and the setpoints of the leader that have arrived."""
+        while inputs.legs:
+            if self._epochs.announce(*inputs.legs.pop(0)):
+                self.config = agent_config(self._flown(), self._uav_id)
+        while inputs.taken:
+            self._epochs.take(inputs.taken.pop(0))
+            self.config = self.config._replace(trajectory=leader_trajectory(self._flown()))
+
+    def leg(self, now_ns: int) -> Leg | None:
+        """The leg in force for the vehicle; None before the first."""
+        return self._epochs.at(now_ns, self._uav_id)
+
+    def leaves(self, now_ns: int) -> bool:
+        """True if the vehicle lands while the others fly on."""
+        own, others = self.leg(now_ns), self._epochs.at(now_ns)
+        return own is not None and own != others
+
+    def flight_s(self, now_ns: int) -> float:
+        """Time since the first epoch; negative before it."""
+        leg = self.leg(now_ns)
+        return -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+
+    def at(self, flight_s: float) -> Reference:
+        """The leader's motion so many seconds after the first epoch; before it, that of the epoch."""
+        return reference(self.config.trajectory, max(flight_s, 0.0))
+
+    def place_velocity(self, flight_s: float) -> Array:
+        """Velocity (3,) [m/s] of the vehicle's place in the formation, which may move beside the leader."""
+        known = not are_open(self._scenario)
+        return place_velocity(self.config, max(flight_s, 0.0), slot_known=known)
+
+    def is_member(self, flight_s: float) -> bool:
+        """True if the vehicle belongs to the formation by the scenario: it has joined, and has not left."""
+        begin_ns, end_ns = (
+            joins_ns(self._scenario, self._uav_id),
+            leaves_ns(self._scenario, self._uav_id),
+        )
+        return begin_ns <= flight_s * NANOSECONDS < end_ns
+
+    def places(self, flight_s: float) -> Array | None:
+        """The places (K, 3) [m] that the vehicle may have to take where UAVs come and go; None elsewhere."""
+        scenario = self._scenario
+        if not scenario.formation.reconfigures:
+            return None
+        closes_up = scenario.formation.vacancy == "close_up"
+        slots = scenario.uav_ids if closes_up else (self._uav_id,)
+        leader = np.array(self.at(flight_s).position)
+        return leader + np.array([scenario.offset(slot) for slot in slots])
+
+    def _flown(self) -> Scenario:
+        return self._epochs.scenario or self._scenario
+
+
+def place_velocity(config: AgentConfig, t: float, *, slot_known: bool) -> Array:
+    """Velocity (3,) [m/s] of a UAV's place at t [s]: that of the leader's reference, and that of a shape that moves.
+
+    Where slots are open a bridge does not hear who takes which, and the leader's has to do.
+    """
+    velocity = np.array(reference(config.trajectory, t).velocity)
+    if config.shape.moving and slot_known:
+        velocity += places(config.shape, config.trajectory, t).own.velocity
+    return velocity
+
+
+class FormationWatch:
+    """Looks at one vehicle in formation: whether it must be given up, and the height of its layer at the end of it."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        uav_id: int,
+        ports: BridgePorts,
+        state: StatePublisher,
+        stream: SetpointStream,
+        *,
+        alone: bool,
+    ) -> None:
+        """`alone`: it flies for itself, without leader and formation."""
+        self.reference = LeaderReference(scenario, uav_id)
+        self.reference.place_velocity(0.0)  # compiled or loaded now, not in flight
+        abort = scenario.mavlink.abort
+        self._monitor = FlightMonitor(
+            AbortLimits(
+                abort.separation_share,
+                abort.swing_m_s,
+                abort.away_m_s,
+                abort.against_m_s,
+                abort.jump_m,
+            )
+        )
+        self._scenario, self._ports, self._alone = scenario, ports, alone
+        self._state, self._stream = state, stream
+        self.hazard = ""
+        """Why the formation must be given up; it stays."""
+        self.middle_m = scenario.mavlink.takeoff_height_m
+        """Height [m] about which the layers of all vehicles lie."""
+
+    def look(self, now_s: float, step: Step, sent: Stream) -> None:
+        """Look at the newest state of the vehicle in a step of its flight, in which the stream carries `sent`."""
+        odometry = self._state.odometry
+        if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
+            return
+        flight_s = self.reference.flight_s(self._ports.clocks.ros_ns())
+        in_flight = step is not Step.AIRBORNE and not self._alone
+        follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
+        deadline_s = float(self._scenario.gains.formation.deadline_s)
+        velocity = np.array(velocity_enu(odometry))
+        sight = Sight(
+            now_s,
+            odometry[0:3].copy(),
+            velocity,
+            self.reference.place_velocity(flight_s) if follows else np.zeros(3),
+            self._wanted(odometry, velocity) if sent is Stream.PLANNER else None,
+            self._ports.inputs.near_uavs,
+            flight_s - deadline_s if follows or self._alone else -1.0,
+            self.reference.places(flight_s) if follows else None,
+        )
+        self.hazard = self.hazard or self._stream.fit.unfit or self._monitor.look(sight)
+        if in_flight:
+            self.middle_m = float(self.reference.at(flight_s).position[2])
+
+    def _wanted(self, odometry: Array, velocity: Array) -> Array | None:
+        """Velocity (3,) [m/s] that the planner wants; None where the vehicle does not fly by it, as at the fence."""
+        guard, newest = self._stream.guard, self._state.controller.newest
+        if guard.outside(guard.ahead(odometry[0:3], velocity)):
+            return None
+        if self._stream.sends_thrust(Stream.PLANNER):
+            wanted = self._ports.inputs.wanted
+            return None if wanted is None else wanted.values[0:3]
+        return None if newest is None else newest.values[0:3]
+
+    def fence_breach(self) -> str:
+        """Why the vehicle must land; empty while it is inside of the fence."""
+        odometry = self._state.odometry
+        if odometry is None:
+            return ""
+        return self._stream.guard.breach(odometry[0:3], np.array(velocity_enu(odometry)))

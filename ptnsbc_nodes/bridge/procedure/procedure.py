@@ -1,53 +1,100 @@
 """A flight of one vehicle as a state machine, from the first heartbeat to disarmed.
 
-The procedure is pure: `advance` takes a snapshot of the vehicle and returns what to do; time is a number.
-Every step waits for its confirmation, has a time limit, and gives a reason when it fails. The procedure
-never sleeps, and never takes a request for its result.
+    HEARTBEAT → PARAMETERS → STATE ⇄ CONTROLLER → STREAM → MODE → READY → ARM → ARMED
+        → TAKEOFF → AIRBORNE → FLY → LAND → DONE
+
+    before arming   → STATE: position or controller lost      → DONE: the operator's stop    → FAILED
+    ARMED           → DISARM: another does not fly, or a stop  → YIELDED: a pilot
+    TAKEOFF … FLY   → FAILSAFE: no setpoints  → FLY: they are back  → LAND: nobody takes it over  → YIELDED
+                    → APART: a hazard  → LAND                  → LAND: stop, battery, fence   → YIELDED: a pilot
+    FLY ⇄ HELD      where UAVs come and go: its controller is away
+    any step        → KILL → FAILED
+
+`_STATES` is this diagram: what each step waits for, its time limit, and what follows the limit. `_from_any_step` has
+the events that count in more than one step. The procedure is pure: `advance` takes a snapshot of the vehicle and
+returns what to do; time is a number. It never sleeps, and never takes a request for its result.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
+    BEFORE_ARMING,
+    FLYING,
+    HEARTBEAT_LOST_S,
+    LAND_S,
     LIFTED_M,
     OVER,
     RECOVERED_S,
+    SETTING_OUT,
+    SILENT_KILL_S,
+    SILENT_S,
     STALE_S,
     STOP_S,
     CommandRequest,
-    ProcedureOptions,
     ProcedureOutput,
     Step,
     Stream,
     VehicleSnapshot,
 )
-from ptnsbc_nodes.bridge.procedure.transitions import FlightProgress, advance
 
+_STREAM_S = 1.5  # PX4 wants more than one second of setpoints before OFFBOARD
+_MODE_LAG_S = 2.5  # HEARTBEAT comes once a second
+_ARRIVED_M = 0.5
+_STILL_M_S = 0.5
+_SETTLED_S = 1.0
+_APART_S = 5.0  # all are at their heights by then, at 1 m/s
+_DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
 _GROUNDED_S = 5.0
-_LIMITS_S: Mapping[Step, float] = {
-    Step.HEARTBEAT: 120.0,
-    Step.PARAMETERS: 20.0,
-    Step.STATE: 120.0,
-    Step.CONTROLLER: 180.0,
-    Step.STREAM: 10.0,
-    Step.MODE: 10.0,
-    Step.ARM: 20.0,
-    Step.ARMED: 8.0,  # most vehicles disarm by themselves after 10 s on the ground
-    Step.DISARM: 10.0,
-    Step.TAKEOFF: 60.0,
-    Step.APART: 60.0,
-    Step.LAND: 180.0,
-}
+_REPEAT_S = 1.0  # an unconfirmed command is sent again after this time
+_REPEAT_KILL_S = 0.2
 
 
-_AFTER_LIMIT = {
-    Step.TAKEOFF: Step.LAND,
-    Step.APART: Step.LAND,
-    Step.ARMED: Step.DISARM,
-}
-_MOTORS_OFF = {Step.KILL: CommandRequest.KILL, Step.DISARM: CommandRequest.DISARM}
+class Transition(NamedTuple):
+    """The next step; `reason` is a fault."""
+
+    step: Step
+    reason: str = ""
+
+
+@dataclass
+class StepMemory:
+    """The observations since the current step began."""
+
+    since_s: float
+    good_since_s: float | None = None
+    landed_since_s: float | None = None
+    land_mode_seen: bool = False
+    requested_s: dict[CommandRequest, float] = field(default_factory=dict)
+
+    def age_s(self, now_s: float) -> float:
+        """The time for which this step has lasted."""
+        return now_s - self.since_s
+
+    def lasts(self, good: bool, now_s: float, seconds: float) -> bool:
+        """True if a condition has been true for this long without a break."""
+        if not good:
+            self.good_since_s = None
+        elif self.good_since_s is None:
+            self.good_since_s = now_s
+        return good and self.good_for_s(now_s) >= seconds
+
+    def good_for_s(self, now_s: float) -> float:
+        """The time for which the condition of `lasts` has been true."""
+        return 0.0 if self.good_since_s is None else now_s - self.good_since_s
+
+    def due(self, command: CommandRequest | None, now_s: float) -> CommandRequest | None:
+        """The command when it is to be sent now, for the first time or again."""
+        repeat_s = _REPEAT_KILL_S if command is CommandRequest.KILL else _REPEAT_S
+        if command is None or now_s - self.requested_s.get(command, -math.inf) < repeat_s:
+            return None
+        self.requested_s[command] = now_s
+        return command
 
 
 class Procedure:
@@ -59,35 +106,29 @@ class Procedure:
         takeoff_height_m: float,
         allow_arming: bool,
         log: Callable[[str], None],
-        left_behind: Callable[[], str],
         away_s: float = 0.0,
     ) -> None:
-        """`left_behind`: where the armed vehicle is, in which mode, and what it will do without this bridge.
-
-        `away_s`: time for which the vehicle is held while its controller is away, and may come back.
-        """
-        self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming, away_s)
-        self._progress = FlightProgress(self._options, log, left_behind)
-        self._unprepared = ""
+        """`away_s`: time for which the vehicle is held while its controller is away, and may come back."""
+        self.autopilot, self.takeoff_height_m = autopilot, takeoff_height_m
+        self.allow_arming, self.away_s, self.log = allow_arming, away_s, log
+        self.step = Step.HEARTBEAT
+        """The step of the flight in which the vehicle is."""
+        self.fault = ""
+        """The reasons why the flight did not go as planned, in the order in which it went wrong."""
+        self.gave_up = False
+        """True once this vehicle has given the formation up, even if it lands in the same tick: all others must too."""
         self.in_pilots_hands = False
         """True if a pilot flies the vehicle, as far as the bridge knows."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
         """The newest result of `advance`."""
-
-    @property
-    def step(self) -> Step:
-        """The step of the flight in which the vehicle is."""
-        return self._progress.step
-
-    @property
-    def fault(self) -> str:
-        """The reasons why the flight did not go as planned, in the order in which it went wrong."""
-        return self._progress.fault
-
-    @property
-    def gave_up(self) -> bool:
-        """True once this vehicle has given the formation up, so that all others must as well."""
-        return self._progress.gave_up
+        self.memory = StepMemory(math.inf)  # the first step begins with the first snapshot
+        self.step_before_failsafe = Step.AIRBORNE
+        self.climbed = False
+        self.hold_tolerated_until_s = -math.inf
+        self.stood_still_s = 0.0
+        """The time for which this process itself has just stood still."""
+        self._advanced_s: float | None = None
+        self._unprepared = ""
 
     @property
     def over(self) -> bool:
@@ -95,102 +136,390 @@ class Procedure:
         return self.step in OVER
 
     @property
-    def ready(self) -> bool:
-        """True if the formation may begin, as far as this vehicle is concerned."""
-        flies = self.step in (Step.FLY, Step.HELD)
-        return flies or (self.step is Step.AIRBORNE and not self._unprepared)
-
-    @property
     def awaited(self) -> str:
-        """The reason why the formation waits for this vehicle; empty when it does not."""
-        if self.ready:
+        """The reason why the formation waits for this vehicle; empty when it may begin."""
+        if self.step in (Step.FLY, Step.HELD):
             return ""
         return self._unprepared if self.step is Step.AIRBORNE else self.step.value
 
-    def fail(self, reason: str) -> None:
-        """Record that the bridge itself has failed."""
-        self._progress.report_fault(reason)
+    @property
+    def ready(self) -> bool:
+        """True if the formation may begin, as far as this vehicle is concerned."""
+        return not self.awaited
 
-    def advance(self, snapshot: VehicleSnapshot) -> ProcedureOutput:
-        """The actions at `snapshot.now_s`; the step changes as far as the snapshot allows."""
-        progress = self._progress
-        progress.measure_own_pause(snapshot)
-        self._unprepared = snapshot.unprepared
+    def fail(self, reason: str) -> None:
+        """Log a fault, also of the bridge itself, and remember it once."""
+        if reason not in self.fault:
+            self.fault = "; ".join(filter(None, (self.fault, reason)))
+        self.log(reason)
+
+    def advance(self, now: VehicleSnapshot) -> ProcedureOutput:
+        """The actions at `now.now_s`; the step changes as far as the snapshot allows."""
+        paused_s = 0.0 if self._advanced_s is None else now.now_s - self._advanced_s
+        self.stood_still_s = paused_s if paused_s > STOP_S else 0.0
+        self._advanced_s, self._unprepared = now.now_s, now.unprepared
+        self.memory.since_s = min(self.memory.since_s, now.now_s)
         for _ in Step:  # one snapshot may complete several steps
-            if not advance(progress, snapshot):
+            following = _from_any_step(self, now) or _STATES[self.step].following(self, now)
+            if following is None:
                 break
-        limit_s = self._limit_s(snapshot)
-        if progress.age_s(snapshot) > limit_s:
-            self._expire(snapshot, limit_s)
-        stream, command = self._stream_and_command(snapshot)
-        due = progress.due(command, snapshot)
-        self.in_pilots_hands = progress.in_pilots_hands(snapshot)
-        self.output = ProcedureOutput(stream, due, self._in_formation(snapshot))
+            self._enter(following, now)
+        limit_s = self._limit_s(now)
+        if self.memory.age_s(now.now_s) > limit_s:
+            detail = f": {missing}" if (missing := _missing(self, now)) else ""
+            reason = f"{self.step.value}: not within {limit_s:g} s{detail}{now.vehicle_reason}"
+            self._enter(Transition(_STATES[self.step].after_limit, reason), now)
+        stream, command = _stream_and_command(self, now)
+        self.in_pilots_hands = self.flown_by_pilot(now)
+        out = self.step in (Step.YIELDED, Step.KILL, Step.APART, *OVER)
+        in_formation = not out and (self.step is not Step.LAND or now.leg == "land")
+        self.output = ProcedureOutput(stream, self.memory.due(command, now.now_s), in_formation)
         return self.output
 
-    def _limit_s(self, snapshot: VehicleSnapshot) -> float:
+    def _enter(self, following: Transition, now: VehicleSnapshot) -> None:
+        step, reason = following
+        if step in OVER and now.armed:
+            reason = "; ".join(filter(None, (reason, f"left behind {now.left_behind}")))
+        if reason:
+            self.fail(reason)
+        self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
+        self.step, self.memory = step, StepMemory(now.now_s)
+        self.gave_up = self.gave_up or step is Step.APART
+
+    def _limit_s(self, now: VehicleSnapshot) -> float:
         """The time limit of this step; there is none while the bridge waits for a pilot."""
-        pilot_arms = self.step is Step.ARM and not self._options.allow_arming
-        pilot_flies = self.step is Step.MODE and snapshot.armed
-        unlimited = pilot_arms or pilot_flies
-        return float("inf") if unlimited else _LIMITS_S.get(self.step, float("inf"))
+        pilot_arms = self.step is Step.ARM and not self.allow_arming
+        pilot_flies = self.step is Step.MODE and now.armed
+        return math.inf if pilot_arms or pilot_flies else _STATES[self.step].limit_s
 
-    def _expire(self, snapshot: VehicleSnapshot, limit_s: float) -> None:
-        step, options = self.step, self._options
-        missing = {
-            Step.STATE: snapshot.state_fault,
-            Step.CONTROLLER: snapshot.state_fault
-            or "no fresh setpoints from a controller that is ready",
-            Step.MODE: f"{options.autopilot.own_mode} not confirmed",
-            Step.ARM: "arming refused",
-            Step.ARMED: f"waiting for {snapshot.not_armed or snapshot.climbs_first}",
-            Step.TAKEOFF: f"at {snapshot.height_m:.1f} m of {options.takeoff_height_m:g} m",
-        }.get(step, "")
-        detail = f": {missing}" if missing else ""
-        reason = f"{step.value}: not within {limit_s:g} s{detail}{snapshot.vehicle_reason}"
-        following = _AFTER_LIMIT.get(step, Step.FAILED)
-        self._progress.enter(following, snapshot, reason)
+    def flown_by_pilot(self, now: VehicleSnapshot) -> bool:
+        """True if a pilot flies the vehicle: the bridge has yielded, or found it flown."""
+        found = self.step in BEFORE_ARMING and now.armed and now.mode is FlightMode.OTHER
+        return self.step is Step.YIELDED or found
 
-    def _stream_and_command(
-        self, snapshot: VehicleSnapshot
-    ) -> tuple[Stream, CommandRequest | None]:
-        progress, autopilot, step = self._progress, self._options.autopilot, self.step
-        early = Stream.HOLD if autopilot.stream_first else Stream.NONE
-        if step in (Step.STREAM, Step.READY, Step.ARMED):
-            return early, None
-        if step is Step.MODE:
-            # Somebody flies a vehicle that is armed already, and only they may change its mode.
-            return early, None if snapshot.armed else CommandRequest.OWN_MODE
-        if step is Step.ARM:
-            may_arm = self._options.allow_arming and not snapshot.armed
-            return early, CommandRequest.ARM if may_arm else None
-        if step is Step.TAKEOFF:
-            if autopilot.climbs:
-                return Stream.CLIMB, None
-            return Stream.NONE, CommandRequest.TAKEOFF if snapshot.height_m < LIFTED_M else None
-        if step is Step.AIRBORNE:
-            return (Stream.CLIMB if progress.climbed else Stream.HOLD), None
-        if step in (Step.FLY, Step.HELD):
-            follows = step is Step.FLY and snapshot.controller_age_s <= STALE_S
-            return Stream.PLANNER if follows else Stream.HOLD, None
-        if step is Step.LAND:
-            return self._landing(snapshot)
-        if step is Step.FAILSAFE:
-            recovered = progress.good_for_s(snapshot) > RECOVERED_S
-            return (Stream.HOLD if recovered else Stream.NONE), None
-        return (Stream.APART if step is Step.APART else Stream.NONE), _MOTORS_OFF.get(step)
+    def may_hold(self, now: VehicleSnapshot) -> bool:
+        """True if a vehicle whose controller is away may be held, because nothing else is wrong with it."""
+        flies = self.step in (Step.FLY, Step.HELD) and self.away_s > 0.0
+        return flies and not (now.state_fault or self.stood_still_s)
 
-    def _landing(self, snapshot: VehicleSnapshot) -> tuple[Stream, CommandRequest | None]:
-        landed_s = self._progress.current(snapshot).landed_since_s
-        if landed_s is not None and snapshot.now_s - landed_s > _GROUNDED_S:
+
+def _from_any_step(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Events that count in any step, worst first."""
+    step, left_alone = flight.step, flight.flown_by_pilot(now) and not now.pilots_too
+    stop = "" if left_alone else now.stop_request  # a pilot's vehicle is left alone
+    if step in OVER:
+        return None
+    if stop == "kill" and step is not Step.KILL and (now.armed or step not in BEFORE_ARMING):
+        return Transition(Step.KILL, "motors stopped by the operator")
+    coming_down = step in (Step.LAND, Step.KILL) or (step is Step.YIELDED and now.stop_request)
+    silent = now.heartbeat_age_s > (SILENT_KILL_S if stop == "kill" else SILENT_S)
+    if coming_down and silent and flight.memory.age_s(now.now_s) >= SILENT_S:
+        reason = f"{step.value}: the vehicle has been silent for {now.heartbeat_age_s:.0f} s"
+        return Transition(Step.FAILED, reason)
+    if now.rebooted and step not in BEFORE_ARMING:
+        return Transition(Step.FAILED, "the vehicle rebooted in flight")
+    if step in FLYING:
+        return _in_flight(flight, now)
+    if (step is Step.FAILSAFE and (stop or now.lands)) or (step is Step.YIELDED and stop):
+        return Transition(Step.LAND)
+    return _before_arming(flight, now, stop) if step in BEFORE_ARMING else None
+
+
+def _before_arming(flight: Procedure, now: VehicleSnapshot, stop: str) -> Transition | None:
+    sets_out = flight.step in SETTING_OUT
+    if now.duplicate_sysid:
+        return Transition(Step.FAILED, "two vehicles with this system id: give each its own")
+    if sets_out and not now.armed and (unfit := now.battery_low or now.fence_breach):
+        return Transition(Step.FAILED, f"not armed: {unfit}")
+    if stop:
+        return Transition(Step.LAND if now.armed else Step.DONE)
+    if sets_out and (now.state_fault or now.controller_age_s > STOP_S):
+        return Transition(Step.STATE)  # position or controller were lost again
+    return None
+
+
+def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if not now.armed:
+        early = flight.step is Step.TAKEOFF and now.height_m < LIFTED_M
+        before = f"disarmed before it took off{now.vehicle_reason}"
+        return Transition(Step.FAILED, before if early else "disarmed in flight")
+    silent = now.controller_age_s > STOP_S or flight.stood_still_s > 0.0
+    silent = silent and not flight.may_hold(now)
+    # The last HEARTBEAT of a failsafe may arrive after the failsafe has ended.
+    failsafe_ended = now.mode is FlightMode.HOLD and now.now_s < flight.hold_tolerated_until_s
+    landing = bool(now.stop_request) and now.mode is FlightMode.LAND  # told past this bridge
+    if now.mode is not FlightMode.OWN and not (silent or failsafe_ended or landing):
+        return Transition(Step.YIELDED, f"the pilot took over: mode {now.mode_name}")
+    if now.stop_request or now.lands:
+        return Transition(Step.LAND)
+    if unfit := now.battery_low or now.fence_breach:
+        return Transition(Step.LAND, unfit)
+    if now.hazard:
+        following = Step.LAND if flight.step is Step.TAKEOFF else Step.APART
+        return Transition(following, f"formation given up: {now.hazard}")
+    if silent:
+        flight.step_before_failsafe = flight.step
+        # A bridge that stood still has let its state and its setpoints age itself.
+        stood = f"this bridge stood still for {flight.stood_still_s:.1f} s"
+        why = now.state_fault or "the controller is silent"
+        return Transition(Step.FAILSAFE, f"no setpoints: {stood if flight.stood_still_s else why}")
+    return None
+
+
+def _heartbeat(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if now.wrong_vehicle:
+        return Transition(Step.FAILED, now.wrong_vehicle)
+    return Transition(Step.PARAMETERS) if now.heartbeat_age_s < HEARTBEAT_LOST_S else None
+
+
+def _parameters(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if now.parameter_refusal:
+        return Transition(Step.FAILED, now.parameter_refusal)
+    return Transition(Step.STATE) if now.parameters_read else None
+
+
+def _state(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    settled = flight.memory.lasts(not now.state_fault, now.now_s, _SETTLED_S)
+    return Transition(Step.CONTROLLER) if settled else None
+
+
+def _controller(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if now.state_fault:
+        return Transition(Step.STATE)
+    if now.controller_held:
+        flight.memory = StepMemory(now.now_s)  # the limit is for a controller that may act
+        return None
+    good = now.controller_ready and now.controller_age_s < STALE_S
+    return Transition(Step.STREAM) if flight.memory.lasts(good, now.now_s, _SETTLED_S) else None
+
+
+def _stream(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    streamed = flight.memory.age_s(now.now_s) >= _STREAM_S or not flight.autopilot.stream_first
+    return Transition(Step.MODE) if streamed else None
+
+
+def _mode(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    pilot_arms = now.armed or not flight.allow_arming
+    if now.mode is not FlightMode.OWN:
+        return None
+    return Transition(Step.ARM if pilot_arms else Step.READY)
+
+
+def _ready(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Arm only with gains that fit, where the vehicle may climb, and together with all others."""
+    if refusal := now.unfit or now.misplaced or now.companion_out:
+        return Transition(Step.FAILED, f"not armed: {refusal}")
+    if now.mode is not FlightMode.OWN:
+        reason = f"the pilot took over before arming: mode {now.mode_name}"
+        return Transition(Step.FAILED, reason)
+    return Transition(Step.ARM) if now.armed or not now.not_ready else None
+
+
+def _arm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if now.mode is not FlightMode.OWN:
+        reason = f"the pilot took over before arming: mode {now.mode_name}"
+        return Transition(Step.FAILED, reason)
+    if now.armed and now.landed is False:
+        return Transition(Step.AIRBORNE)  # a pilot flew it up and handed it over
+    return Transition(Step.ARMED) if now.armed and flight.allow_arming else None
+
+
+def _armed(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Climb only when all are armed, and after those that stand close."""
+    if not now.armed:
+        return Transition(Step.FAILED, f"disarmed before it took off{now.vehicle_reason}")
+    if now.mode is not FlightMode.OWN:
+        return Transition(Step.YIELDED, f"the pilot took over: mode {now.mode_name}")
+    if now.companion_out:
+        return Transition(Step.DISARM, f"not taken off: {now.companion_out}")
+    if now.stop_request or now.lands:
+        return Transition(Step.DISARM)
+    if now.not_armed or now.climbs_first:
+        return None
+    flight.climbed = True
+    return Transition(Step.TAKEOFF)
+
+
+def _disarm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    return None if now.armed else Transition(Step.FAILED if flight.fault else Step.DONE)
+
+
+def _takeoff(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    missing_m = abs(now.height_m - flight.takeoff_height_m)
+    arrived = missing_m < _ARRIVED_M and now.speed_m_s < _STILL_M_S
+    return (
+        Transition(Step.AIRBORNE) if flight.memory.lasts(arrived, now.now_s, _SETTLED_S) else None
+    )
+
+
+def _airborne(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    return Transition(Step.FLY) if now.leg in ("form", "hold") else None
+
+
+def _fly(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    held = now.controller_age_s > STOP_S and flight.may_hold(now)
+    return Transition(Step.HELD) if held else None
+
+
+def _held(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Wait for the controller: it takes its place again, from where the vehicle is held."""
+    if now.controller_age_s < STALE_S:  # at once: its way back counts from its first step
+        flight.log("its controller is back, the formation goes on")
+        return Transition(Step.FLY)
+    if flight.memory.age_s(now.now_s) > flight.away_s:
+        return Transition(Step.LAND, f"landed after {flight.away_s:g} s without its controller")
+    return None
+
+
+def _apart(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Hold at a height that no other vehicle has; then land, the lower ones first."""
+    if not now.armed:
+        return Transition(Step.FAILED, "disarmed in flight")
+    if now.mode is not FlightMode.OWN and not now.stop_request:
+        return Transition(Step.YIELDED, f"the pilot took over: mode {now.mode_name}")
+    if now.stop_request or now.lands or now.battery_low:
+        return Transition(Step.LAND, now.battery_low)
+    if now.state_fault:  # it cannot be held by a position that is not known
+        return Transition(Step.LAND, now.state_fault)
+    settled = flight.memory.lasts(now.apart, now.now_s, _APART_S)
+    return Transition(Step.LAND) if settled and not now.below else None
+
+
+def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    memory, age_s = flight.memory, flight.memory.age_s(now.now_s)
+    if not now.armed:
+        reason = "landed by its failsafe" if now.landed else "disarmed in flight"
+        return Transition(Step.FAILED, reason) if age_s >= _DISARMED_S else None
+    own, heard = now.mode is FlightMode.OWN, now.heartbeat_age_s < HEARTBEAT_LOST_S
+    if age_s > _MODE_LAG_S and not own and now.mode is not FlightMode.HOLD:
+        # The failsafe lands or returns, or a pilot flies: the bridge has no part in it any more.
+        return Transition(Step.YIELDED)
+    recovered = memory.lasts(now.controller_age_s < STALE_S and heard, now.now_s, RECOVERED_S)
+    if recovered and own:
+        # Sent setpoints again, PX4 returns to OFFBOARD by itself. The bridge never requests the mode here: a pilot
+        # who switched to Hold in the meantime keeps the vehicle.
+        flight.log("setpoints are back, the formation goes on")
+        flight.hold_tolerated_until_s = now.now_s + _MODE_LAG_S
+        return Transition(flight.step_before_failsafe)
+    if recovered:
+        kept = memory.good_for_s(now.now_s) > RECOVERED_S + _MODE_LAG_S
+        kept = kept and age_s > RECOVERED_S + 2 * _MODE_LAG_S
+        return Transition(Step.YIELDED) if kept else None
+    if age_s > LAND_S and own and heard:
+        # Nobody has taken it over: its failsafe only waits, as that of an ArduCopter in GUIDED does.
+        return Transition(Step.LAND, f"landed after {LAND_S:g} s without setpoints")
+    return None
+
+
+def _land(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    memory = flight.memory
+    if not now.armed:
+        return Transition(Step.DONE)
+    memory.land_mode_seen = memory.land_mode_seen or now.mode is FlightMode.LAND
+    # Another mode can come from a pilot only once the landing was confirmed, or should have been.
+    settled = memory.land_mode_seen or memory.age_s(now.now_s) > 2 * _MODE_LAG_S
+    if settled and now.mode not in (FlightMode.LAND, FlightMode.OWN):
+        reason = f"the pilot took over while landing: mode {now.mode_name}"
+        return Transition(Step.YIELDED, reason)
+    if not now.landed:
+        memory.landed_since_s = None
+    elif memory.landed_since_s is None:
+        memory.landed_since_s = now.now_s
+    return None
+
+
+def _motors_stop(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    return None if now.armed else Transition(Step.FAILED)
+
+
+def _end(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Nothing follows a flight."""
+    return None
+
+
+class State(NamedTuple):
+    """One step: what follows it, and for how long it is waited for."""
+
+    following: Callable[[Procedure, VehicleSnapshot], Transition | None]
+    limit_s: float = math.inf
+    after_limit: Step = Step.FAILED
+
+
+_STATES: Mapping[Step, State] = {
+    Step.HEARTBEAT: State(_heartbeat, 120.0),
+    Step.PARAMETERS: State(_parameters, 20.0),
+    Step.STATE: State(_state, 120.0),
+    Step.CONTROLLER: State(_controller, 180.0),
+    Step.STREAM: State(_stream, 10.0),
+    Step.MODE: State(_mode, 10.0),
+    Step.READY: State(_ready),
+    Step.ARM: State(_arm, 20.0),
+    Step.ARMED: State(_armed, 8.0, Step.DISARM),  # most disarm by themselves after 10 s
+    Step.DISARM: State(_disarm, 10.0),
+    Step.TAKEOFF: State(_takeoff, 60.0, Step.LAND),
+    Step.AIRBORNE: State(_airborne),
+    Step.FLY: State(_fly),
+    Step.HELD: State(_held),
+    Step.APART: State(_apart, 60.0, Step.LAND),
+    Step.FAILSAFE: State(_failsafe),
+    Step.YIELDED: State(_motors_stop),
+    Step.LAND: State(_land, 180.0),
+    Step.KILL: State(_motors_stop),
+    Step.DONE: State(_end),
+    Step.FAILED: State(_end),
+}
+
+
+def _missing(flight: Procedure, now: VehicleSnapshot) -> str:
+    """The thing for which a step that has lasted too long still waits."""
+    return {
+        Step.STATE: now.state_fault,
+        Step.CONTROLLER: now.state_fault or "no fresh setpoints from a controller that is ready",
+        Step.MODE: f"{flight.autopilot.own_mode} not confirmed",
+        Step.ARM: "arming refused",
+        Step.ARMED: f"waiting for {now.not_armed or now.climbs_first}",
+        Step.TAKEOFF: f"at {now.height_m:.1f} m of {flight.takeoff_height_m:g} m",
+    }.get(flight.step, "")
+
+
+def _stream_and_command(
+    flight: Procedure, now: VehicleSnapshot
+) -> tuple[Stream, CommandRequest | None]:
+    """The content of the setpoint stream in this step, and the command that it repeats until it is confirmed."""
+    step, memory, autopilot = flight.step, flight.memory, flight.autopilot
+    early = Stream.HOLD if autopilot.stream_first else Stream.NONE
+    if step is Step.TAKEOFF and autopilot.climbs:
+        return Stream.CLIMB, None
+    if step is Step.LAND:
+        landed_s = memory.landed_since_s
+        if landed_s is not None and now.now_s - landed_s > _GROUNDED_S:
             return Stream.NONE, CommandRequest.DISARM
-        if snapshot.mode is FlightMode.LAND:
+        if now.mode is FlightMode.LAND:
             return Stream.NONE, None
         # Until the vehicle confirms its landing it still needs setpoints, if there are any.
-        fresh = snapshot.controller_age_s <= STOP_S and snapshot.mode is FlightMode.OWN
+        fresh = now.controller_age_s <= STOP_S and now.mode is FlightMode.OWN
         return (Stream.HOLD if fresh else Stream.NONE), CommandRequest.LAND
-
-    def _in_formation(self, snapshot: VehicleSnapshot) -> bool:
-        if self.step in (Step.YIELDED, Step.KILL, Step.APART, *OVER):
-            return False
-        return self.step is not Step.LAND or snapshot.leg == "land"
+    follows = step is Step.FLY and now.controller_age_s <= STALE_S
+    recovered = step is Step.FAILSAFE and memory.good_for_s(now.now_s) > RECOVERED_S
+    stream = {
+        Step.STREAM: early,
+        Step.MODE: early,
+        Step.READY: early,
+        Step.ARM: early,
+        Step.ARMED: early,
+        Step.AIRBORNE: Stream.CLIMB if flight.climbed else Stream.HOLD,
+        Step.FLY: Stream.PLANNER if follows else Stream.HOLD,
+        Step.HELD: Stream.HOLD,
+        Step.APART: Stream.APART,
+        Step.FAILSAFE: Stream.HOLD if recovered else Stream.NONE,
+    }.get(step, Stream.NONE)
+    may_arm = flight.allow_arming and not now.armed
+    command = {
+        # Somebody flies a vehicle that is armed already, and only they may change its mode.
+        Step.MODE: None if now.armed else CommandRequest.OWN_MODE,
+        Step.ARM: CommandRequest.ARM if may_arm else None,
+        Step.DISARM: CommandRequest.DISARM,
+        Step.TAKEOFF: CommandRequest.TAKEOFF if now.height_m < LIFTED_M else None,
+        Step.KILL: CommandRequest.KILL,
+    }.get(step)
+    return stream, command

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
+from ptnsbc_io.mavlink.autopilots import FlightMode
 
 STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""
@@ -117,6 +117,9 @@ class VehicleSnapshot:
     climbs_first: str = ""  # other vehicles that climb before this one
     companion_out: str = ""  # another vehicle that will not fly, and why
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
+    left_behind: str = (
+        "armed"  # the armed vehicle's place and mode, and what it does without its bridge
+    )
 
     @property
     def lands(self) -> bool:
@@ -124,24 +127,9 @@ class VehicleSnapshot:
         return self.leg == "land" and not (self.leaves and self.below)
 
     @property
-    def flown_by_hand(self) -> bool:
-        """True if it is armed in a mode that only a pilot chooses."""
-        return self.armed and self.mode is FlightMode.OTHER
-
-    @property
     def vehicle_reason(self) -> str:
         """The vehicle's own reason in brackets; empty when it gives none."""
         return f" ({self.vehicle_warning})" if self.vehicle_warning else ""
-
-
-class ProcedureOptions(NamedTuple):
-    """The options that are settled before the flight."""
-
-    autopilot: Autopilot
-    takeoff_height_m: float
-    allow_arming: bool
-    away_s: float = 0.0
-    """Time for which the vehicle is held while its controller is away; 0: it is left to its own failsafe."""
 
 
 class ProcedureOutput(NamedTuple):
@@ -151,3 +139,16 @@ class ProcedureOutput(NamedTuple):
     command: CommandRequest | None
     in_formation: bool
     """True if the formation follows this vehicle's odometry; otherwise the others only avoid it."""
+
+
+Position = tuple[float, float, float]
+
+
+class Companion(NamedTuple):
+    """The report of the bridge of another vehicle."""
+
+    step: str
+    fault: str
+    position: Position | None  # in the world [m]
+    error_m: float  # of that position, horizontally
+    height_m: float  # above the place of arming

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,13 @@ from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_core.types import AgentConfig, Array
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
+from ptnsbc_io.mavlink.autopilots import (
+    AUTOPILOTS,
+    VelocityResponse,
+    hover_thrust,
+    limits,
+    velocity_response,
+)
 from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude_targets import (
@@ -24,6 +31,7 @@ from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     DragEstimator,
     FollowingEstimator,
     VelocityLead,
+    largest_kappa_1_s,
 )
 from ptnsbc_nodes.bridge.state_publisher import SetpointReply
 from ptnsbc_nodes.runtime.pacing import Latency
@@ -120,6 +128,56 @@ class _VelocityIntegral:
         return np.asarray(self._acceleration)
 
 
+class GainFit:
+    """Whether the gains of the scenario fit the vehicle, by its parameters before the flight and by its link."""
+
+    def __init__(self, link: VehicleLink, mavlink: Mavlink, config: AgentConfig) -> None:
+        self._link, self._mavlink, self._config = link, mavlink, config
+        self.refusal = ""
+        """The reason why its velocity loop cannot follow this scenario; empty while nothing says so."""
+        self.unfit = ""
+        """The reason why the scenario's loop would swing this vehicle by attitudes; empty while nothing says so."""
+
+    def to_velocity_loop(self, response: VelocityResponse) -> str:
+        """A line about the gain that fits a response; `refusal` if the scenario has more."""
+        if self._link.setpoint == "position_velocity":
+            return "warning: position_velocity: gains.formation.kappa_1_s is not compared with the vehicle"
+        if self._link.setpoint != "velocity":
+            return ""
+        lead, kappa = self._mavlink.acceleration_feed_forward, self._config.formation.kappa
+        most = largest_kappa_1_s(response, lead)
+        if kappa > most + 1e-9:
+            remedy = "" if lead else ", or mavlink.acceleration_feed_forward: true"
+            self.refusal = (
+                f"gains.formation.kappa_1_s = {kappa:g}: the vehicle's velocity loop would swing: "
+                f"expected at most {most:.1f}{remedy}"
+            )
+        return f"gains.formation.kappa_1_s up to {most:.1f} fits its velocity loop"
+
+    def to_delay(self, delay_s: float, *, led: bool) -> str:
+        """A line with the gain that fits a delay from a state to its force; `unfit` if the scenario has more.
+
+        `led`: whether the vehicle flies the rates of roll and pitch that are sent beside an attitude.
+        """
+        tilt_lag_s = _TILT_LAG_S if self._link.tilt_lag_s is None else self._link.tilt_lag_s
+        config = self._config
+        most = largest_force_kappa_1_s(config, AttitudeResponse(delay_s, tilt_lag_s, led))
+        kappa, pole = config.controller.force.kappa, config.controller.observer_bandwidth
+        swings = f"the vehicle would swing, {delay_s:.3f} s from a state to its force: expected"
+        if most == 0.0:  # then the observer is too fast, or the planner
+            self.unfit = (
+                f"gains.observer.bandwidth_1_s = {pole:g}, gains.formation.kappa_1_s = {config.formation.kappa:g}: "
+                f"{swings} less, or a faster link"
+            )
+        elif kappa > most + 1e-9:
+            self.unfit = (
+                f"gains.force.kappa_1_s = {kappa:g}: {swings} at most {most:.1f}, or a faster link"
+            )
+        return (
+            f"gains.force.kappa_1_s up to {most:.1f} fits {delay_s:.3f} s from a state to its force"
+        )
+
+
 class StreamInput(NamedTuple):
     """The inputs of one tick of the stream."""
 
@@ -136,20 +194,16 @@ class SetpointStream:
     """Turns the procedure's and the controller's requests into messages; the world frame ends here."""
 
     def __init__(self, link: VehicleLink, mavlink: Mavlink, config: AgentConfig) -> None:
-        autopilot = AUTOPILOTS[link.autopilot]
-        self._attitude_only = autopilot.attitude_only
-        self._setpoint = link.setpoint
-        self._feed_forward = mavlink.acceleration_feed_forward
-        self._config = config
-        self._hold_s = 0.5 / mavlink.rate_hz  # how long a target waits for the next one, on average
-        self._tilt_lag_s = _TILT_LAG_S if link.tilt_lag_s is None else link.tilt_lag_s
-        self.unfit = ""
-        """The reason why the scenario's loop would swing this vehicle by attitudes; empty while nothing says so."""
+        self._autopilot = autopilot = AUTOPILOTS[link.autopilot]
+        self._link, self._mavlink = link, mavlink
+        self.fit = GainFit(link, mavlink, config)
+        self.response: VelocityResponse | None = None
+        """The response of the vehicle to velocities, by its parameters; None before they are read, or without them."""
         self._yaw_gain = config.controller.attitude_gain[1]
         self.guard = SetpointGuard(mavlink.geofence, allowed(mavlink.limits, limits({})))
         self._messages = SetpointMessages(autopilot, link.sysid)
         self.attitude = AttitudeTargets(config.controller, mavlink.hover_thrust)
-        self.attitude.thrust_test.over = not self._attitude_only
+        self.attitude.thrust_test.over = not autopilot.attitude_only
         self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
         self._integral = _VelocityIntegral()
         self.drag = DragEstimator(config.controller.gravity)
@@ -168,8 +222,8 @@ class SetpointStream:
     def sends_thrust(self, stream: Stream) -> bool:
         """True if the setpoints of a stream have a thrust."""
         if stream is Stream.PLANNER:
-            return self._setpoint == "attitude"
-        return self._attitude_only and stream is not Stream.NONE
+            return self._link.setpoint == "attitude"
+        return self._autopilot.attitude_only and stream is not Stream.NONE
 
     def learn(self, stream: Stream, now_s: float, sampled_s: float, odometry: Array) -> str:
         """From a state (13,) of the flying vehicle: what thrust and drag do to it; a line when there is news."""
@@ -179,30 +233,35 @@ class SetpointStream:
             return ""
         news = self.attitude.on_odometry(now_s, sampled_s, odometry)
         found = self.attitude.thrust_test.found
-        return news if not news or found is None else f"{news}; {self.fit_to(found.delay_s)}"
+        return news if not news or found is None else f"{news}; {self.fit_to_link(found.delay_s)}"
 
-    def fit_to(self, found_s: float = 0.0) -> str:
-        """A line with the gain that fits the link, and a delay from target to force; `unfit` if the scenario has more.
+    def take_parameters(self, values: Mapping[str, float]) -> None:
+        """Lower the limits to those of the vehicle, and take over what else its parameters say of it."""
+        self.guard.limits = allowed(self._mavlink.limits, limits(values))
+        self.attitude.hover.value = hover_thrust(values) or self._mavlink.hover_thrust
+        response = velocity_response(self._autopilot, values)
+        if response is not None:
+            link = self._link
+            self.response = response.measured(link.velocity_loop_1_s, link.tilt_lag_s)
+
+    def fit_to_vehicle(self) -> str:
+        """Send velocities so that this vehicle flies what the planner wants, as far as that goes; a line about it."""
+        if self.response is None:
+            return ""
+        if self._mavlink.acceleration_feed_forward:
+            self.lead = VelocityLead(self.response, 1.0 / self._mavlink.rate_hz)
+        return self.fit.to_velocity_loop(self.response)
+
+    def fit_to_link(self, thrust_delay_s: float = 0.0) -> str:
+        """Compare the gains with the link, and a delay from target to force; a line about it.
 
         Autopilots that close loops of their own besides take no rates of roll and pitch beside an attitude.
         """
-        delay_s = self.ages.percentile_s(50) + self._hold_s + found_s
-        response = AttitudeResponse(delay_s, self._tilt_lag_s, led=self._attitude_only)
-        config, most = self._config, largest_force_kappa_1_s(self._config, response)
-        kappa, pole = config.controller.force.kappa, config.controller.observer_bandwidth
-        swings = f"the vehicle would swing, {delay_s:.3f} s from a state to its force: expected"
-        if most == 0.0:  # then the observer is too fast, or the planner
-            self.unfit = (
-                f"gains.observer.bandwidth_1_s = {pole:g}, gains.formation.kappa_1_s = {config.formation.kappa:g}: "
-                f"{swings} less, or a faster link"
-            )
-        elif kappa > most + 1e-9:
-            self.unfit = (
-                f"gains.force.kappa_1_s = {kappa:g}: {swings} at most {most:.1f}, or a faster link"
-            )
-        return (
-            f"gains.force.kappa_1_s up to {most:.1f} fits {delay_s:.3f} s from a state to its force"
-        )
+        waits_s = (
+            0.5 / self._mavlink.rate_hz
+        )  # how long a target waits for the next one, on average
+        delay_s = self.ages.percentile_s(50) + waits_s + thrust_delay_s
+        return self.fit.to_delay(delay_s, led=self._autopilot.attitude_only)
 
     def unprepared(self, odometry: Array) -> str:
         """The task that the vehicle has left before the formation; empty when none."""
@@ -250,7 +309,7 @@ class SetpointStream:
 
     def _hold_at(self, target: _HoldPoint, tick: StreamInput, dt: float) -> Any:
         now_s, position = tick.now_s, self.guard.position(target.position)
-        if not self._attitude_only:
+        if not self._autopilot.attitude_only:
             local = position - tick.offset
             return self._messages.position_target(now_s, target.yaw, position=local)
         if not tick.armed:  # the rotors must not turn before the vehicle is meant to lift
@@ -265,11 +324,13 @@ class SetpointStream:
         """The controller's setpoint as a message."""
         answered, guard = reply.odometry, self.guard
         moving = np.array(velocity_enu(tick.odometry))
-        if self._setpoint == "attitude" and guard.outside(guard.ahead(tick.odometry[0:3], moving)):
+        if self._link.setpoint == "attitude" and guard.outside(
+            guard.ahead(tick.odometry[0:3], moving)
+        ):
             # A wrench cannot be cut down to the fence: the vehicle is held at the nearest place inside.
             self._hold = _HoldPoint(tick.odometry)
             return self._hold_at(self._hold, tick, dt)
-        if self._setpoint == "attitude":
+        if self._link.setpoint == "attitude":
             attitude = self.attitude.for_wrench(
                 reply.values,
                 answered.values,
@@ -281,15 +342,15 @@ class SetpointStream:
         velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3], moving)
         self.following.add(tick.now_s, velocity, moving)
         acceleration = position = None
-        if self._feed_forward:
+        if self._mavlink.acceleration_feed_forward:
             limit = guard.limits.acceleration_m_s2
             acceleration = self._integral.acceleration(velocity, dt, limit)
-            if self.lead is not None and self._setpoint == "velocity":
+            if self.lead is not None and self._link.setpoint == "velocity":
                 level, push = self.lead.setpoint(velocity[0:2], self.drag.value)
                 velocity = guard.velocity(np.append(level, velocity[2]), tick.odometry[0:3], moving)
                 length = math.hypot(*push)
                 acceleration[0:2] = push * min(1.0, limit / length) if length > 0.0 else 0.0
-        if self._setpoint == "position_velocity":
+        if self._link.setpoint == "position_velocity":
             target = self._integral.position(velocity, tick.odometry, dt)
             position = guard.position(target) - tick.offset
         return self._messages.position_target(

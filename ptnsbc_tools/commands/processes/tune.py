@@ -14,7 +14,7 @@ from ptnsbc_tools import console, options, ros
 from ptnsbc_tools.options import AllowArmingOption, SetOption
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.bridge.tuning.settings import Identified, Settings
+    from ptnsbc_nodes.bridge.identification import Identified, Settings
     from ptnsbc_sim.scenario import Scenario
 
 
@@ -68,8 +68,8 @@ def tune(
     outside of its box, at the fence, and at Ctrl-C; a pilot who takes over keeps it.
     """
     with ros.required("install the extras [ros,mavlink] or source ROS 2"):
-        from ptnsbc_nodes.bridge.tuning.process import fly_hover_test
-        from ptnsbc_nodes.bridge.tuning.settings import settings as fitting
+        from ptnsbc_nodes.bridge.hover_test import fly_hover_test
+        from ptnsbc_nodes.bridge.identification import settings as fitting
     ros.select_network(None, domain)
     if output is not None and output.exists() and not overwrite:
         raise TuneFileError(f"{output}: exists: choose another name, or --overwrite")

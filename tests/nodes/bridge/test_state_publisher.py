@@ -1,6 +1,7 @@
 """The published state: in the world frame, on our clock, and only while it is fresh and plausible."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +14,11 @@ from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_io.wire import VelocityTemplate, decode_velocity
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts, Clocks
 from ptnsbc_nodes.bridge.state_publisher import (
     ControllerSetpoints,
     PublishedOdometry,
     StatePublisher,
-    WorldFrame,
 )
 from ptnsbc_nodes.bridge.vehicle_monitor import Anchor, VehicleMonitor
 from ptnsbc_sim.scenario import load_scenario
@@ -34,23 +34,15 @@ class Flown:
         self.wall_ns = 10**18
         scenario = load_scenario("experiment_4", overrides)
         self.vehicle = VehicleMonitor(PX4)
-        self.world = WorldFrame(scenario, uav, PX4.earth_radius_m)
         self.sync = TimeSync()
-        self.controller = ControllerSetpoints(decode_velocity)
         self.published = []  # stamp and odometry
-        ports = BridgePorts(
-            BridgeInputs(),
-            BridgeOutputs(
-                odom=lambda stamp_ns, odometry: self.published.append((stamp_ns, odometry.copy())),
-                track=None,
-                origin=None,
-                limits=None,
-                lost=None,
-                log=None,
-            ),
-            Clocks(lambda: self.now, lambda: self.wall_ns),
+        outputs = SimpleNamespace(
+            odom=lambda stamp_ns, odometry: self.published.append((stamp_ns, odometry.copy()))
         )
-        self.publisher = StatePublisher(self.vehicle, self.world, self.sync, self.controller, ports)
+        clocks = Clocks(lambda: self.now, lambda: self.wall_ns)
+        ports = BridgePorts(BridgeInputs(), outputs, clocks)
+        self.publisher = StatePublisher(scenario, uav, self.vehicle, self.sync, ports)
+        self.world, self.controller = self.publisher.world, self.publisher.controller
         self.boot_at = 90.0
         self.vehicle.on_message(heartbeat(), self.now)
         self.synchronise()

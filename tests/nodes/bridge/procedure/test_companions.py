@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Companion, Companions, StandingPlace
-from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Companions, StandingPlace
+from ptnsbc_nodes.bridge.procedure.steps import Companion, Step
 
 KEEP_OUT_M, SPACING_M = 0.5, 1.0
 

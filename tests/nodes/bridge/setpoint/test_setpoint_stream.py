@@ -186,7 +186,7 @@ def test_only_a_vehicle_that_takes_attitudes_alone_must_show_its_thrust(scenario
     assert bool(waits) == (autopilot == "generic")
     assert not stream.unprepared(state())
     assert any("did not show" in line for line in news) == (autopilot == "generic")
-    assert stream.unfit == ""
+    assert stream.fit.unfit == ""
 
 
 def _ours(wxyz):

@@ -10,9 +10,8 @@ pytest.importorskip("pymavlink")
 pytest.importorskip("rclpy")
 
 from ptnsbc_io.mavlink.autopilots import VelocityResponse
-from ptnsbc_nodes.bridge.tuning import process
-from ptnsbc_nodes.bridge.tuning.excitation import FrequencyPoint
-from ptnsbc_nodes.bridge.tuning.settings import Identified
+from ptnsbc_nodes.bridge import hover_test
+from ptnsbc_nodes.bridge.identification import FrequencyPoint, Identified
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
 
@@ -29,7 +28,7 @@ def flown(monkeypatch):
         requests.append((scenario, uav, key, allow_arming, box_m))
         return Identified(SLOW, 0.2, 0.02, POINTS)
 
-    monkeypatch.setattr(process, "fly_hover_test", fly)
+    monkeypatch.setattr(hover_test, "fly_hover_test", fly)
     return requests
 
 

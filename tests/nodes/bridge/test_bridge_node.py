@@ -19,7 +19,7 @@ from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_io.wire import OdometryTemplate, checked_near
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
+from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
 from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics
@@ -92,7 +92,7 @@ def active(bridge):
 def test_in_flight_it_refuses_to_be_deactivated(active, step):
     bridge = active.work.bridge
     bridge.vehicle.armed = True
-    bridge.procedure._progress.step = step
+    bridge.procedure.step = step
     assert active.trigger_deactivate() is FAILURE
     assert isinstance(active.refusal, FlyingError)
     assert f"bridge3: {step.value}: expected a vehicle that is not flown" in str(active.refusal)
@@ -105,7 +105,7 @@ def test_in_flight_it_refuses_to_be_deactivated(active, step):
 @pytest.mark.parametrize("step", [Step.HEARTBEAT, Step.YIELDED])
 def test_a_vehicle_that_a_pilot_flies_may_be_left(active, step):
     active.work.bridge.vehicle.armed = True
-    active.work.bridge.procedure._progress.step = step
+    active.work.bridge.procedure.step = step
     assert active.trigger_deactivate() is SUCCESS
     assert active.trigger_activate() is SUCCESS
 
@@ -201,7 +201,7 @@ def test_the_others_are_told_at_once_that_the_formation_is_given_up(ros, active,
     listens_for_orders(ros, active, heard.append)
     active.work.node.destroy_timer(active.work._status_timer)  # nothing is repeated
     bridge = active.work.bridge
-    bridge.procedure._progress.step = Step.FLY
+    bridge.procedure.step = Step.FLY
     flies = VehicleSnapshot(
         time.monotonic(), heartbeat_age_s=0.1, controller_age_s=0.1, mode=FlightMode.OWN, armed=True
     )
@@ -221,7 +221,7 @@ def test_a_vehicle_that_lands_in_the_tick_of_giving_up_tells_the_others_too(ros,
     heard = []
     listens_for_orders(ros, active, heard.append)
     bridge = active.work.bridge
-    bridge.procedure._progress.step = Step.FLY
+    bridge.procedure.step = Step.FLY
     bridge.snapshot = lambda now_s: VehicleSnapshot(
         now_s,
         heartbeat_age_s=0.1,
@@ -271,7 +271,7 @@ def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridg
 def test_an_order_that_a_bridge_heard_holds_for_the_next_one(ros, active):
     """`apart` is of one flight and holds for no other."""
     folder = runtime_folder(ros.domain)
-    active.work._on_order(Order(APART))
+    active.work.orders.on_order(Order(APART))
     assert latched(folder) == Order()
-    active.work._on_order(Order(LAND))
+    active.work.orders.on_order(Order(LAND))
     assert latched(folder) == Order(LAND)

@@ -1,0 +1,406 @@
+"""The bridge on ROS 2: topics in and out around `Bridge`, which runs in a thread of its own.
+
+The thread of the node only stores messages as inputs of the bridge. The thread of the bridge decides and sends
+everything, so that a busy executor never delays the stream.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.mavlink.link import MavlinkLink
+from ptnsbc_io.wire import (
+    Diagnostics,
+    HeaderTemplate,
+    OdometryDecoder,
+    OdometryTemplate,
+    checked_velocity,
+    checked_wrench,
+    decode_diagnostics,
+    encode_near,
+)
+from ptnsbc_nodes.bridge.bridge import Bridge
+from ptnsbc_nodes.bridge.near_objects import NearObjects
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
+from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion, new_record
+from ptnsbc_nodes.comm import topics, vehicle_messages
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
+from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ, StatusLog
+from ptnsbc_nodes.comm.door import as_bytes
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.qos import keep_last
+from ptnsbc_nodes.comm.tf import LiveTransforms
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
+from ptnsbc_nodes.emergency.orders import (
+    APART,
+    LAND,
+    Order,
+    OrderPort,
+    RuntimeFolderError,
+    latch,
+    latched,
+    runtime_folder,
+)
+from ptnsbc_nodes.runtime.environment import named_domain
+from ptnsbc_sim.scenario import Scenario
+
+_BRIDGE, _LINK = "bridge", ": link"
+_NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
+
+
+class FlyingError(PtnsbcError):
+    """A request to deactivate a bridge whose vehicle flies."""
+
+
+class BridgeOptions(NamedTuple):
+    """The options that are settled at the start of the process."""
+
+    allow_arming: bool
+    with_fleet: bool = False
+    """True if every other UAV of the scenario has a bridge, which must be ready as well."""
+    signing_key: str = ""
+    """Path of the key file: `ptnsbc stop` reaches the vehicle with it when this process is dead."""
+
+
+class TopicOutputs(BridgeOutputs):
+    """What a bridge tells others, as topics and as lines on stderr (`BridgeOutputs`)."""
+
+    def __init__(
+        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, recorders: int
+    ) -> None:
+        publisher = endpoints.publisher
+        self._uav_id = uav_id
+        self._odometry = OdometryTemplate(WORLD_FRAME, body_frame(uav_id, endpoints.fleet))
+        self._send_odom = publisher(topics.odom(uav_id), 1 + recorders)
+        self._send_track = publisher(topics.track(uav_id), 0)
+        self._send_truth = publisher(topics.truth(uav_id), 0)
+        self._send_limits = publisher(topics.limits(uav_id), 1)
+        self._send_battery = publisher(topics.battery(uav_id), 0)
+        leads = uav_id == scenario.leader.id
+        self._send_origin = publisher(topics.ORIGIN, 0) if leads else None
+        self._send_lost = publisher(topics.LOST, 0)
+        self._send_order = publisher(topics.EMERGENCY, 0)
+        self._transforms = LiveTransforms(endpoints, [uav_id])
+
+    def odom(self, stamp_ns: int, odometry: Array) -> None:
+        """The odometry (13,) of a vehicle in formation."""
+        data = self._odometry.encode(stamp_ns, odometry)
+        self._send_odom(data)
+        self._transforms.publish(self._uav_id, data)
+
+    def track(self, stamp_ns: int, odometry: Array) -> None:
+        """The same, of a vehicle that has left the formation."""
+        self._send_track(self._odometry.encode(stamp_ns, odometry))
+
+    def truth(self, stamp_ns: int, odometry: Array) -> None:
+        """The true odometry (13,) of a simulated vehicle, for the verdict."""
+        self._send_truth(self._odometry.encode(stamp_ns, odometry))
+
+    def origin(self, place: GeoPoint) -> None:
+        """The leader's place, for all bridges."""
+        if self._send_origin is not None:
+            self._send_origin(vehicle_messages.encode_origin(place))
+
+    def limits(self, limits: SetpointLimits) -> None:
+        """The limits of the vehicle, for the planner."""
+        planner = PlannerLimits(limits.planner_m_s, limits.acceleration_m_s2)
+        speed, acceleration = planner
+        self.log(f"planner: at most {speed:g} m/s, {acceleration:g} m/s^2")
+        self._send_limits(vehicle_messages.encode_limits(planner))
+
+    def battery(self, stamp_ns: int, bridge: Bridge) -> None:
+        """The battery of the vehicle, once it is known."""
+        battery = bridge.vehicle.battery.newest
+        if battery is not None:
+            self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))
+
+    def lost(self) -> None:
+        """This vehicle has left the formation."""
+        self._send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0))
+
+    def apart(self) -> None:
+        """This vehicle gives the formation up: all others must as well."""
+        self._send_order(HeaderTemplate(APART).encode(0))
+
+    def log(self, line: str) -> None:
+        """A line for the operator."""
+        print(f"bridge{self._uav_id}: {line}", file=sys.stderr, flush=True)
+
+
+class OrderDesk:
+    """The orders of the operator to one bridge, and the vehicle's record that answers them."""
+
+    def __init__(
+        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, bridge: Bridge, key: str
+    ) -> None:
+        self._inputs, self._log = bridge.ports.inputs, bridge.ports.outputs.log
+        self._folder: Path | None = None
+        self._port: OrderPort | None = None
+        record = new_record(scenario, uav_id, key)
+        try:
+            self._folder = runtime_folder(named_domain(), endpoints.fleet)
+            self.record = RecordKeeper(bridge, record, self._folder)
+            self._port = OrderPort(self._folder, record.name, self.on_order, self.record.encode)
+            held = latched(self._folder)
+        except RuntimeFolderError as error:
+            self._log(f"warning: no local path for ptnsbc stop: {error}")
+            self.record, held = RecordKeeper(bridge, record, self._folder), Order()
+        if held.what:  # an order that still holds from before
+            bridge.procedure.fail(
+                f"the operator's order {held.text!r} still holds: ptnsbc stop --clear releases it"
+            )
+            self._inputs.take(held)
+        self.record.keep()
+        endpoints.listen(topics.EMERGENCY, decode_order, self.on_order, required=False)
+
+    def on_order(self, order: Order) -> None:
+        """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
+        if self._inputs.take(order):
+            self._log(f"emergency: {order.text}")
+            if self._folder is not None and order.what != APART:
+                with suppress(OSError):
+                    latch(self._folder, order)
+
+    def close(self) -> None:
+        """Leave word of the vehicle, and take no orders any more."""
+        self.record.keep(ended=True)
+        if self._port is not None:
+            self._port.close()
+
+
+class FleetReports:
+    """The statuses of the UAV process and of the other bridges, before arming.
+
+    In flight nothing reads the diagnostics of others, so they are not worth their reception.
+    """
+
+    def __init__(
+        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, ports: BridgePorts
+    ) -> None:
+        self._endpoints, self._inputs, self._clocks = endpoints, ports.inputs, ports.clocks
+        self._planner = f"uav{uav_id}: planner"
+        self._numbers = frozenset(map(str, scenario.uav_ids))
+        profile = keep_last(20, reliable=True)
+        self._heard = endpoints.listen(
+            topics.DIAGNOSTICS, self._decode, self._on_diagnostics, required=False, profile=profile
+        )
+
+    def close(self) -> None:
+        """Hear no more of them."""
+        self._endpoints.ignore(self._heard)
+
+    def _decode(self, data: bytes) -> Diagnostics | None:
+        """The statuses of the UAV process and of bridges; None for others, which are not worth decoding."""
+        wanted = self._planner.encode() in data or _LINK.encode() in data
+        return decode_diagnostics(data) if wanted else None
+
+    def _on_diagnostics(self, array: Diagnostics | None) -> None:
+        inputs, now_s = self._inputs, self._clocks.steady_s()
+        for status in array.statuses if array is not None else ():
+            name, values = status.name, status.values
+            if name == self._planner:
+                inputs.controller_ready = values.get("ready") == "true"
+                if INACTIVE in values.get("waiting_for", "").split():
+                    inputs.controller_held_s = now_s
+            elif name.startswith(_BRIDGE) and name.endswith(_LINK):
+                number = name.removeprefix(_BRIDGE).removesuffix(_LINK)
+                report = companion(values)
+                if report is not None and number in self._numbers:
+                    inputs.companions.append((int(number), report, now_s))
+
+
+class NearPublisher:
+    """Publishes the near objects of one UAV, from the scenario and from the odometry of other UAVs.
+
+    It hears all of them, because its bridge gives the formation up for any that comes too near, and lands above any.
+    """
+
+    def __init__(
+        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, edges: CommunicationGraph
+    ) -> None:
+        self._objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
+        self._period_s = 1.0 / scenario.sensor.rate_hz
+        self._next_s = 0.0
+        self._send = endpoints.publisher(topics.near(uav_id), 1 + edges.options.recorders)
+        for other in sorted(set(scenario.uav_ids) - {uav_id}):
+            for topic in (topics.odom(other), topics.track(other)):
+                hear = partial(self._on_odometry, other)
+                endpoints.listen(topic, as_bytes(OdometryDecoder()), hear, required=False)
+
+    def _on_odometry(self, uav_id: int, data: bytes) -> None:
+        self._objects.on_odometry(uav_id, time.monotonic(), data)
+
+    def publish_due(self, bridge: Bridge) -> None:
+        """Publish at the rate of the scenario's sensor, once the bridge knows its own odometry."""
+        now_s, odometry = time.monotonic(), bridge.state_publisher.odometry
+        if odometry is None or now_s < self._next_s:
+            return
+        self._next_s = now_s + self._period_s
+        bridge.ports.inputs.near_uavs = self._objects.uavs(now_s)
+        rows = self._objects.rows(now_s, odometry[0:3], bridge.flight_s())
+        self._send(encode_near(bridge.ports.clocks.ros_ns(), WORLD_FRAME, rows))
+
+
+class BridgeNode:
+    """One bridge as one rclpy node; it sends nothing to the vehicle until `activate`.
+
+    It calls `on_end` when the flight is over.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        scenario: Scenario,
+        uav_id: int,
+        edges: CommunicationGraph,
+        link: MavlinkLink,
+        options: BridgeOptions,
+        on_end: Callable[[], None],
+    ) -> None:
+        self.node, self._name, self._on_end = node, f"bridge{uav_id}", on_end
+        self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
+        recorders = edges.options.recorders
+        self._outputs = TopicOutputs(self.endpoints, scenario, uav_id, recorders)
+        clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
+        ports = BridgePorts(BridgeInputs(), self._outputs, clocks)
+        awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
+        self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
+        self._near = NearPublisher(self.endpoints, scenario, uav_id, edges)
+        self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
+        self._status_log = StatusLog(node)
+        self.endpoints.last_word = self._publish_status
+        self._reports = FleetReports(self.endpoints, scenario, uav_id, ports)
+        self._subscribe(scenario, uav_id)
+        self.orders = OrderDesk(self.endpoints, scenario, uav_id, self.bridge, options.signing_key)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self._leaving = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """0 after a flight as planned, or without any."""
+        procedure = self.bridge.procedure
+        unfinished = self.bridge.flew and procedure.step is not Step.DONE
+        return int(bool(procedure.fault) or unfinished)
+
+    def activate(self) -> None:
+        """Begin or resume communication with the vehicle."""
+        self._leaving = False
+        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+        self._thread.start()
+
+    def deactivate(self) -> None:
+        """Stop communication with the vehicle; refused while the bridge flies it."""
+        step = self.bridge.procedure.step
+        if self.bridge.vehicle.armed and step not in _NOT_OURS:
+            raise FlyingError(
+                f"{self._name}: {step.value}: expected a vehicle that is not "
+                "flown by this bridge; land it first: /formation/land, or ptnsbc stop"
+            )
+        self._stop_thread()
+
+    def land(self) -> bool:
+        """Request a landing; returns whether the vehicle is armed and this bridge flies it."""
+        procedure = self.bridge.procedure
+        if self._thread is None or procedure.step in _NOT_OURS or procedure.in_pilots_hands:
+            return False
+        self.bridge.ports.inputs.take(Order(LAND))
+        return self.bridge.vehicle.armed
+
+    def close(self) -> None:
+        """Stop the thread, and the stream with it; remove everything from the node."""
+        self._stop_thread()
+        self.orders.close()
+        self.bridge.link.close()
+        self.node.destroy_timer(self._status_timer)
+        self.endpoints.close()
+
+    @property
+    def begun(self) -> bool:
+        """True if the vehicle has been armed."""
+        return self.bridge.flew
+
+    def waiting_for(self) -> list[str]:
+        """The things for which the formation waits; empty when it may begin."""
+        missing = self.endpoints.unheard()
+        if not self.begun:
+            missing += self.endpoints.contested()
+        if self._thread is None:
+            missing.append(INACTIVE)
+        if self.bridge.procedure.awaited:
+            missing.append(self.bridge.procedure.awaited)
+        return missing
+
+    def _subscribe(self, scenario: Scenario, uav_id: int) -> None:
+        listen, inputs = self.endpoints.listen, self.bridge.ports.inputs
+        attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
+        setpoint = topics.wrench_setpoint if attitude else topics.velocity_setpoint
+        decode = as_bytes(checked_wrench if attitude else checked_velocity)
+        listen(setpoint(uav_id), decode, partial(setattr, inputs, "setpoint"))
+        if attitude:  # a wrench does not tell where the planner wants the vehicle to go
+            wanted = topics.velocity_setpoint(uav_id)
+            listen(wanted, checked_velocity, partial(setattr, inputs, "wanted"), required=False)
+        listen(topics.EPOCH, decode_leg, inputs.legs.append)
+        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
+            self.endpoints.shared.add(topics.EPOCH.name)
+        if scenario.takes_setpoints:
+            decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
+            listen(topics.TAKEN, decode_taken, inputs.taken.append, required=False)
+        if self.bridge.state_publisher.world.needs_leader:
+            hear = partial(setattr, inputs, "leader_origin")
+            listen(topics.ORIGIN, vehicle_messages.decode_origin, hear, required=False)
+
+    def _on_status_timer(self) -> None:
+        procedure = self.bridge.procedure
+        if procedure.ready:
+            self._reports.close()
+        if procedure.step is Step.APART:
+            self._outputs.apart()  # again, for a bridge that has just met this one
+        self._outputs.battery(self.bridge.ports.clocks.ros_ns(), self.bridge)
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        record, missing = self.orders.record.keep(), self.waiting_for()
+        self._send_status(
+            bridge_status(
+                self._name, record, self.bridge, missing, self.endpoints, self._status_log
+            )
+        )
+
+    def _stop_thread(self) -> None:
+        self._leaving = True
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+            self._thread = None
+
+    def _run(self) -> None:
+        bridge = self.bridge
+        try:
+            while not self._leaving and not bridge.procedure.over:
+                bridge.wait_and_serve()
+                self._near.publish_due(bridge)
+            bridge.leave()
+        except Exception as error:  # the thread must not die in silence and leave a stream behind
+            bridge.procedure.fail(f"bridge failed: {error!r}")
+            raise
+        finally:
+            if not self._leaving:
+                self._on_end()
