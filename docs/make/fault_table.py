@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, SafetyState
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.pacing import LIMIT_S
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
-from ptnsbc_nodes.uav.status import ABANDONED_S
+from ptnsbc_nodes.uav.uav_status import ABANDONED_S
 
 HEADLESS, SIM, MAVLINK = "headless", "sim", "mavlink"
 ALL = (HEADLESS, SIM, MAVLINK)
@@ -107,7 +107,7 @@ ANSWERS = (
         "dropped, counted, named; the last good one counts",
         "with the next good one",
         (
-            f"{_UAV}test_neighbours.py::test_a_broken_state_of_a_neighbour_is_dropped_and_named",
+            f"{_UAV}test_uav_topics.py::test_a_broken_state_of_a_neighbour_is_dropped_and_named",
             "tests/nodes/sim/test_node.py::test_no_message_ends_the_sim",
             "tests/nodes/fleet/test_coordinator_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
             "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does",
@@ -122,7 +122,7 @@ ANSWERS = (
         f"named; no flight begins; messages {AHEAD_S:g} s ahead or {OLDEST_S:g} s old are refused",
         "when the clock is set right",
         (
-            f"{_UAV}test_status.py::test_no_flight_begins_by_clocks_that_differ",
+            f"{_UAV}test_uav_status.py::test_no_flight_begins_by_clocks_that_differ",
             "tests/nodes/runtime/test_pacing.py::test_a_clock_that_is_set_right_is_forgiven",
         ),
     ),
@@ -136,7 +136,7 @@ ANSWERS = (
         "when it is gone",
         (
             f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",
-            f"{_UAV}test_status.py::test_no_flight_begins_beside_a_rival_and_one_in_flight_is_named",
+            f"{_UAV}test_uav_status.py::test_no_flight_begins_beside_a_rival_and_one_in_flight_is_named",
             f"{_ENDS}::test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one",
         ),
     ),
@@ -148,7 +148,7 @@ ANSWERS = (
         _STOP,
         "no setpoints: a setpoint is the proof of life; `/diagnostics` error",
         "with the next odometry",
-        (f"{_UAV}test_node.py::test_real_time_setpoints_end_with_the_odometry",),
+        (f"{_UAV}test_uav_node.py::test_real_time_setpoints_end_with_the_odometry",),
     ),
     FaultAnswer(
         "a UAV process hangs or ends in real time",

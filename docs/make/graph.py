@@ -27,7 +27,7 @@ from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_nodes.sim.node import SimNode
-from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.slots import are_open
 

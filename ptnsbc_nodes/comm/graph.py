@@ -87,7 +87,7 @@ class CommunicationGraph:
             every_tick=scenario.formation.reconfigures,
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
-            faults=(scenario.faults or ()),
+            faults=scenario.faults,
             period_ns=scenario.timing.dt_ns,
         )
 

@@ -1,7 +1,7 @@
 """Faults of processes, carried out by the launcher that has started them: signals by pid, and a full disk.
 
 In real time the times of a scenario count from the start of the mission. In lock-step the launcher has no mission time:
-a UAV carries out its own `kill` there (`ptnsbc_nodes.uav.faults`), and nothing else of the scenario is injected.
+a UAV carries out its own `kill` there (`ptnsbc_nodes.uav.uav_faults`), and nothing else of the scenario is injected.
 """
 
 from __future__ import annotations

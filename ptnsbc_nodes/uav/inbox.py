@@ -8,8 +8,7 @@ tick k that arrives before the tick does not replace the message of k-1. In real
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -40,12 +39,11 @@ from ptnsbc_sim.scenario.mission.faults import MOST_DELAY_S, FaultBlock
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
 
+_IsLost = Callable[[int, int, Sequence[MessageFault]], bool]
+"""Whether a message is lost, by sender, stamp [ns] and the faults of messages."""
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
-
-
-_QUEUE_LENGTH = (
-    LEAD_TICKS + 2
-)  # in lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed
+# In lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed.
+_QUEUE_LENGTH = LEAD_TICKS + 2
 
 
 class MessageQueue:
@@ -54,31 +52,37 @@ class MessageQueue:
     A message that the scenario wants late has arrived, but it does not count before its time.
     """
 
-    __slots__ = ("_delay_ns", "_faults", "_messages", "_sender", "newest_ns")
+    __slots__ = ("_delay_ns", "_faults", "_is_lost", "_messages", "_sender", "newest_ns")
 
     def __init__(
         self,
         delay: LinkDelay = NO_DELAY,
         sender: int = 0,
         faults: Sequence[MessageFault] = (),
-        room: int = 0,
+        fault_ticks: int = 0,
+        is_lost: _IsLost | None = None,
     ) -> None:
-        """`faults` may add to the delay of this sender's messages, by at most `room` control periods."""
+        """`faults` may add to the delay of this sender's messages, by at most `fault_ticks` control periods."""
         self._delay_ns = delay.ns
         self._sender = sender
         self._faults = faults
-        length = _QUEUE_LENGTH + delay.ticks + room
+        self._is_lost = is_lost
+        length = _QUEUE_LENGTH + delay.ticks + fault_ticks
         self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
         self.newest_ns = -1  # stamp of the newest message, lost or not
 
-    def put(self, message: Stamped, lost: bool = False) -> None:
+    def put(self, message: Stamped) -> None:
         """Keep `message` as the newest; one sender's messages arrive in order.
 
-        A message that the scenario declares `lost` has still arrived: lock-step does not wait for it.
+        A message that the scenario wants lost has still arrived: lock-step does not wait for it.
         """
-        self.newest_ns = message.stamp_ns
-        if not lost:
+        stamp_ns = self.newest_ns = message.stamp_ns
+        if self._is_lost is None or not self._is_lost(self._sender, stamp_ns, self._faults):
             self._messages.appendleft(message)
+
+    def miss(self, stamp_ns: int) -> None:
+        """A message of this stamp has arrived and cannot be used: lock-step does not wait for it."""
+        self.newest_ns = max(self.newest_ns, stamp_ns)
 
     def before(self, cutoff_ns: int, now_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns] that has its delay behind it at `now_ns` [ns]."""
@@ -96,7 +100,15 @@ class MessageQueue:
 
 
 class Inbox:
-    """The newest messages of every sender that one UAV listens to."""
+    """The newest messages of every sender that one UAV listens to.
+
+    Attributes:
+        senders: those whose messages are used.
+        own: odometry, None before the first.
+        near: objects.
+        state_queues: formation_state of every sender that may be used, by UAV.
+        estimate_queues: leader_estimate, as above.
+    """
 
     def __init__(self, senders: Senders) -> None:
         self.senders = senders
@@ -106,18 +118,20 @@ class Inbox:
         self._begun = False
         self._faults: list[MessageFault] = []
         self._restarts: list[MessageFault] = []
-        self._states = {i: self._queue(i) for i in senders.heard_states}
-        self._estimates = {i: self._queue(i) for i in senders.heard_estimators}
         self._lost: set[int] = set()
-        self.listen_to(senders)
-
-    def _queue(self, sender: int) -> MessageQueue:
-        delay = self.senders.delays.get(sender, NO_DELAY)
-        if self.senders.faults is None:
-            return MessageQueue(delay)
+        losses, faulty = senders.losses, senders.faults is not None
         # A fault adds MOST_DELAY_S at most.
-        room = round(MOST_DELAY_S * 1e9) // max(self.senders.period_ns, 1)
-        return MessageQueue(delay, sender, self._faults, room)
+        most = round(MOST_DELAY_S * 1e9) // max(senders.period_ns, 1) if faulty else 0
+
+        def queue(sender: int, is_lost: _IsLost | None) -> MessageQueue:
+            delay, faults = senders.delays.get(sender, NO_DELAY), self._faults if faulty else ()
+            return MessageQueue(delay, sender, faults, most, is_lost)
+
+        state_lost = None if losses is None else losses.state
+        estimate_lost = None if losses is None else losses.estimate
+        self.state_queues = {i: queue(i, state_lost) for i in senders.heard_states}
+        self.estimate_queues = {i: queue(i, estimate_lost) for i in senders.heard_estimators}
+        self.listen_to(senders)
 
     def begin(self, t0_ns: int) -> None:
         """The first epoch is known, from which the times of injected faults count."""
@@ -134,16 +148,11 @@ class Inbox:
             if fault.kind == "restart":
                 self._restarts.append(found)
 
-    def miss(self, uav_id: int, stamp_ns: int, *, estimate: bool) -> None:
-        """A message of this stamp has arrived and cannot be used: lock-step does not wait for it."""
-        queue = (self._estimates if estimate else self._states)[uav_id]
-        queue.newest_ns = max(queue.newest_ns, stamp_ns)
-
     def listen_to(self, senders: Senders) -> None:
         """Use the messages of these senders from now on; what has arrived of them counts."""
         self.senders = senders
-        states = [(i, self._states[i]) for i in senders.states]
-        estimates = [(i, self._estimates[i]) for i in senders.estimators]
+        states = [(i, self.state_queues[i]) for i in senders.states]
+        estimates = [(i, self.estimate_queues[i]) for i in senders.estimators]
         self._used = [*states, *estimates]
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
         self._parents = None if senders.several is None else _ParentMessages(senders.several)
@@ -151,33 +160,13 @@ class Inbox:
         self._queue_rows = tuple(self._rows())
         self._await()
 
-    def state_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
-        """The handler of each sender's formation_state; the queue itself where no message is to be lost."""
-        direct = self.senders.losses is None
-        return {
-            i: queue.put if direct else partial(self.on_state, i)
-            for i, queue in self._states.items()
-        }
-
-    def estimate_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
-        """The handler of each sender's leader_estimate, as `state_handlers`."""
-        direct = self.senders.losses is None
-        return {
-            i: queue.put if direct else partial(self.on_estimate, i)
-            for i, queue in self._estimates.items()
-        }
-
     def on_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""
-        losses = self.senders.losses
-        lost = losses is not None and losses.state(uav_id, message.stamp_ns, self._faults)
-        self._states[uav_id].put(message, lost)
+        self.state_queues[uav_id].put(message)
 
     def on_estimate(self, uav_id: int, message: Stamped) -> None:
         """Keep a leader_estimate."""
-        losses = self.senders.losses
-        lost = losses is not None and losses.estimate(uav_id, message.stamp_ns, self._faults)
-        self._estimates[uav_id].put(message, lost)
+        self.estimate_queues[uav_id].put(message)
 
     def lose(self, uav_id: int) -> None:
         """Stop waiting for this sender, whose process has ended. Its last messages age from now on."""
@@ -186,7 +175,7 @@ class Inbox:
 
     def _await(self) -> None:
         """Choose the senders that lock-step waits for: all where UAVs may come and go, because any may be used next."""
-        every = [*self._states.items(), *self._estimates.items()]
+        every = [*self.state_queues.items(), *self.estimate_queues.items()]
         awaited = every if self.senders.every_tick else self._used
         self._awaited = [one for one in awaited if one[0] not in self._lost]
 
@@ -198,12 +187,12 @@ class Inbox:
         if now_ns > 0:
             due_ns = now_ns - period_ns
             for uav_id, queue in self._awaited:
-                if queue.newest_ns < due_ns and not self._plays_dead(uav_id, due_ns):
+                plays_dead = (
+                    fault.sender == uav_id and fault.holds(due_ns) for fault in self._restarts
+                )
+                if queue.newest_ns < due_ns and not any(plays_dead):
                     return False
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
-
-    def _plays_dead(self, uav_id: int, stamp_ns: int) -> bool:
-        return any(one.sender == uav_id and one.holds(stamp_ns) for one in self._restarts)
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
         """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
@@ -213,14 +202,15 @@ class Inbox:
     def states(self, now_ns: int, cutoff_ns: int) -> Iterator[Heard]:
         """The newest formation_state of every sender that has sent one, by ascending sender."""
         for uav_id in self.senders.states:
-            message = self._states[uav_id].before(cutoff_ns, now_ns)
+            message = self.state_queues[uav_id].before(cutoff_ns, now_ns)
             if message is not None:
                 yield Heard(uav_id, message.values, _age_s(message, now_ns))
 
     def silent_estimates(self, now_ns: int, stale_ns: int) -> list[int]:
         """Real time: the senders of estimates whose newest one is older than `stale_ns` [ns]."""
         newest = (
-            (i, self._estimates[i].before(NO_CUTOFF_NS, now_ns)) for i in self.senders.estimators
+            (i, self.estimate_queues[i].before(NO_CUTOFF_NS, now_ns))
+            for i in self.senders.estimators
         )
         return [i for i, one in newest if one is not None and now_ns - one.stamp_ns > stale_ns]
 
@@ -254,7 +244,7 @@ class Inbox:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
         if self._parents is not None:
-            queues, mean = self._states, vector[PARENT:LEADER]
+            queues, mean = self.state_queues, vector[PARENT:LEADER]
             newest = [queues[i].before(cutoff_ns, now_ns) for i in self._parents.several.ids]
             vector[PARENT_AGE] = self._parents.mean(newest, now_ns, mean)
         return inputs
@@ -263,12 +253,12 @@ class Inbox:
         """Each queue, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
         inputs, senders = self._inputs, self.senders
         if senders.parent is not None and senders.several is None:
-            yield self._states[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
+            yield self.state_queues[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
         if senders.leader is not None:
-            yield self._states[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
+            yield self.state_queues[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
         estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
         for k, uav_id in enumerate(senders.estimators):
-            yield self._estimates[uav_id], estimates[k], inputs.ages + k
+            yield self.estimate_queues[uav_id], estimates[k], inputs.ages + k
 
 
 class _ParentMessages:

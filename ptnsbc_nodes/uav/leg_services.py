@@ -20,8 +20,10 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.comm.legs import FIRST_LEG, Epochs
-from ptnsbc_nodes.uav.slots import SlotDecider
+from ptnsbc_nodes.comm.legs import FIRST_LEG
+from ptnsbc_nodes.uav.clocks import LEAD_NS, UavClock
+from ptnsbc_nodes.uav.uav_controller import UavController
+from ptnsbc_nodes.uav.uav_flight import UavFlight
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.mission.legs import (
@@ -32,9 +34,6 @@ from ptnsbc_sim.scenario.mission.legs import (
     word_text,
 )
 from ptnsbc_sim.scenario.mission.utc import utc_time
-
-LEAD_NS = 500_000_000
-"""An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
 
 _MOST_WAIT_S = 3600.0  # for the start of a mission
 
@@ -49,20 +48,11 @@ def leg_service(number: int) -> str:
     return f"leg_{number}"
 
 
-def _words(scenario: Scenario | None) -> dict[str, int]:
-    """Number of the leg that each service of the mission begins."""
-    mission = None if scenario is None else scenario.mission
-    if mission is None:
-        return {}
-    found = {leg_service(number): number for number in range(2, len(mission.legs) + 1)}
-    return {**found, CANCEL_SERVICE: CANCEL}
-
-
 class LegServices:
-    """Answers the four services of the leader, while `serve` holds.
+    """Answers the services of the leader, while `serve` holds. A successor of the leader serves when it leads.
 
     In lock-step the first epoch is 0, where simulated time starts. Every other leg begins after
-    `LEAD_NS`, but a stop in real time begins at once. A successor of the leader serves when it leads.
+    `LEAD_NS`, but a stop in real time begins at once.
     """
 
     def __init__(
@@ -70,28 +60,25 @@ class LegServices:
         node: Node,
         endpoints: Endpoints,
         edges: CommunicationGraph,
-        epochs: Epochs,
-        now_ns: Callable[[], int],
+        flight: UavFlight,
+        clock: UavClock,
         waiting_for: Callable[[], Sequence[str]],
-        decider: SlotDecider | None = None,
-        readers: int = 0,
     ) -> None:
-        """`now_ns`: time of the flight; `waiting_for`: empty when the leader is ready to start.
-
-        `decider` decides the slots of each leg in formation, where they are open. `readers`: nodes that must read
-        the epoch before the flight.
-        """
+        """`waiting_for`: empty when the leader is ready to start."""
         self._node = node
         self._endpoints = endpoints
-        self._lockstep = edges.options.lockstep
-        self._epochs = epochs
-        self._now_ns = now_ns
+        self._flight = flight
+        self._clock = clock
         self._waiting_for = waiting_for
-        self._decider = decider
         self._listeners = edges.epoch_listeners()
-        self._publish = endpoints.publisher(topics.EPOCH, readers)
+        leads = flight.uav == flight.scenario.leader.id
+        self._publish = endpoints.publisher(topics.EPOCH, edges.epoch_readers() if leads else 0)
         self._untold: list[HeaderFields] = []
-        self._words = _words(epochs.scenario)
+        mission = flight.scenario.mission
+        numbers = () if mission is None else range(2, len(mission.legs) + 1)
+        self._words = {leg_service(number): number for number in numbers}
+        if mission is not None:
+            self._words[CANCEL_SERVICE] = CANCEL
         self._names = (*_LEGS, *self._words, *((LIST_SERVICE,) if self._words else ()))
         self._requests = Requests(
             endpoints, (*self._names, ARM_SERVICE), signed=edges.options.seal is not None
@@ -106,7 +93,8 @@ class LegServices:
 
     def keep(self, leg: HeaderFields) -> None:
         """A leg, or a word on a leg of the mission, that another UAV has announced."""
-        self._untold.append(leg)
+        if not self._clock.lockstep:  # there no process starts in flight
+            self._untold.append(leg)
 
     def serve(self) -> None:
         """Answer the services from now on, and announce again what another UAV has announced.
@@ -125,6 +113,11 @@ class LegServices:
             )
             for name in self._names
         ]
+
+    def follow(self, controller: UavController) -> None:
+        """Serve the operator while the UAV leads, where UAVs may come and go."""
+        if self._flight.scenario.formation.reconfigures:
+            (self.serve if controller.leads else self.close)()
 
     def close(self) -> None:
         """Remove the services from the node."""
@@ -150,20 +143,19 @@ class LegServices:
 
     def _start_ns(self) -> int | None:
         """The time at which the mission begins by the wall clock; None when it does not say so, and in lock-step."""
-        scenario = self._epochs.scenario
-        mission = None if scenario is None else scenario.mission
-        if mission is None or mission.start is None or self._lockstep:
+        mission = self._flight.scenario.mission
+        if mission is None or mission.start is None or self._clock.lockstep:
             return None
-        return utc_time(mission.start).next_ns(self._now_ns() + LEAD_NS)
+        return utc_time(mission.start).next_ns(self._clock.now_ns() + LEAD_NS)
 
     def _refusal(self, name: str) -> str | None:
         if refused := self._requests.refusal(name):
             return refused
-        if not self._epochs.announced and name != "start":
+        if not self._flight.epochs.announced and name != "start":
             return "not started: call /formation/start first"
         start_ns = self._start_ns()
-        if start_ns is not None and not self._epochs.announced:
-            ahead_s = (start_ns - self._now_ns() - LEAD_NS) * 1e-9
+        if start_ns is not None and not self._flight.epochs.announced:
+            ahead_s = (start_ns - self._clock.now_ns() - LEAD_NS) * 1e-9
             if not 0.0 <= ahead_s <= _MOST_WAIT_S:
                 when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
                 return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
@@ -172,8 +164,8 @@ class LegServices:
 
     def _list(self) -> str:
         """The legs of the mission as JSON, with the time since the first epoch."""
-        scenario, now_ns = self._epochs.scenario, self._now_ns()
-        leg = self._epochs.at(now_ns)
+        scenario, now_ns = self._flight.epochs.scenario, self._clock.now_ns()
+        leg = self._flight.epochs.at(now_ns)
         assert scenario is not None and scenario.mission is not None  # or there is no service
         begun = {one.number: one for one in scenario.legs}
         rows = [
@@ -190,18 +182,18 @@ class LegServices:
 
     def _say(self, number: int) -> tuple[bool, str]:
         """Begin a leg of the mission, or cancel the present one: whether that can be flown, and a sentence."""
-        now_ns, scenario = self._now_ns(), self._epochs.scenario
-        leg = self._epochs.at(now_ns)
+        now_ns, scenario = self._clock.now_ns(), self._flight.epochs.scenario
+        leg = self._flight.epochs.at(now_ns)
         if leg is None or leg.mode != MODE_FORMATION or scenario is None:
             name = "no leg" if leg is None else f"leg {leg.name}"
             return False, f"{name} is flown: expected the formation, which flies the mission"
         t0_ns = now_ns + LEAD_NS
-        word = self._epochs.word(t0_ns, number)
+        word = self._flight.epochs.word(t0_ns, number)
         refusal = _cannot_fly(scenario, word)
         if refusal:
             return False, refusal
         text = word_text(number)
-        if not self._epochs.announce(t0_ns, text):
+        if not self._flight.epochs.announce(t0_ns, text):
             return False, "another leg was begun just now: try again"
         self._publish(HeaderTemplate(text).encode(t0_ns))
         said = scenario.with_words((*scenario.words, word)).legs
@@ -210,20 +202,18 @@ class LegServices:
 
     def _announce(self, name: str) -> str:
         t0_ns, leg = self._epoch_ns(name), _LEGS[name]
-        if leg == FIRST_LEG and self._decider is not None:
-            self._decider.decide(t0_ns)
-        self._epochs.announce(t0_ns, leg)
+        if leg == FIRST_LEG and self._flight.decider is not None:
+            self._flight.decider.decide(t0_ns)
+        self._flight.epochs.announce(t0_ns, leg)
         self._publish(HeaderTemplate(leg).encode(t0_ns))
         return f"leg {leg} from {t0_ns * 1e-9:.3f} s"
 
     def _epoch_ns(self, name: str) -> int:
-        if self._lockstep and not self._epochs.announced:
-            return 0
-        start_ns = self._start_ns()
-        if start_ns is not None and not self._epochs.announced:
+        first = not self._flight.epochs.announced
+        start_ns = self._start_ns() if first else None
+        if start_ns is not None:
             return start_ns
-        at_once = name == "stop" and not self._lockstep
-        return self._now_ns() + (0 if at_once else LEAD_NS)
+        return self._clock.epoch_ns(first=first, at_once=name == "stop")
 
 
 def _times(one: ScheduledLeg) -> dict[str, float]:

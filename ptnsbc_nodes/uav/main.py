@@ -83,7 +83,7 @@ def _assign(node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifeti
     """The work of the node of one UAV."""
     from ptnsbc_nodes.comm.graph import CommunicationGraph
     from ptnsbc_nodes.runtime.launcher import PARENT
-    from ptnsbc_nodes.uav.node import UavNode
+    from ptnsbc_nodes.uav.uav_node import UavNode
 
     def configure() -> UavNode:
         graph = CommunicationGraph(settings.scenario, settings.options)

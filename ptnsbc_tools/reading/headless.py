@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
-from ptnsbc_nodes.uav.faults import sent_faults
+from ptnsbc_nodes.uav.uav_faults import sent_faults
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
@@ -90,7 +90,7 @@ class _StatusMessages:
 
     def __init__(self, flight: HeadlessFlight) -> None:
         from ptnsbc_nodes.comm.markers import Scene
-        from ptnsbc_nodes.uav.controller import UavCounters
+        from ptnsbc_nodes.uav.uav_controller import UavCounters
 
         scenario = flight.scenario
         self._flight = flight
@@ -124,7 +124,7 @@ class _StatusMessages:
             diagnostics,
             readiness,
         )
-        from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
+        from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
 
         landing_ns = self._flight.scenario.landing_ns
         mode = FORMATION if landing_ns is None or stamp_ns < landing_ns else "land"

@@ -10,8 +10,8 @@ from typing import Generic, NamedTuple, TypeVar
 from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import WireError, decode_integers, peek_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.uav.controller import step_time
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_nodes.uav.uav_controller import step_time
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_tools.replay.difference import Difference, Mismatch

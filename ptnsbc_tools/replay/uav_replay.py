@@ -16,11 +16,8 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.comm.slots import DecidedSlots
-from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
-from ptnsbc_nodes.uav.faults import sent_faults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
-from ptnsbc_nodes.uav.roles import role_holder
-from ptnsbc_nodes.uav.slots import SlotHolder
+from ptnsbc_nodes.uav.open_slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (
     SLOTS,
     ControllerSnapshot,
@@ -30,6 +27,8 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits, role_holder
+from ptnsbc_nodes.uav.uav_faults import sent_faults
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (

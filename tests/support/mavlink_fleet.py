@@ -27,10 +27,9 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.emergency.orders import APART, Order
-from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.roles import role_holder
-from ptnsbc_nodes.uav.slots import SlotHolder
+from ptnsbc_nodes.uav.open_slots import SlotHolder
+from ptnsbc_nodes.uav.uav_controller import UavController, role_holder, step_time
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
 

@@ -10,7 +10,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import LOST, READY
-from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_nodes.uav.uav_node import UavNode
 
 FOLLOWER, PARENT, LEADER, NEIGHBOURS = 3, 2, 1, (2, 4)
 

@@ -18,9 +18,9 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.uav.controller import UavController, VehicleSpeedLimits, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
+from ptnsbc_nodes.uav.uav_controller import UavController, VehicleSpeedLimits, step_time
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_sim.world import World

@@ -22,7 +22,7 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.fleet import lifecycle_manager as manager_module
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros

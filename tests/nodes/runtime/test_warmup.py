@@ -11,8 +11,8 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
-from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.world import World
 

@@ -22,7 +22,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.seal import KEY_FILE, Seal, new_key, read_key
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import CANCEL
 from ptnsbc_sim.verdict import verdict_on
@@ -153,9 +153,9 @@ def test_with_a_seal_no_leg_of_an_outsider_counts(ros, scenario):
     forged(leg)
     ros.spin_until(lambda: uav.endpoints.refusals.counts)
     assert "not sealed with the key of the fleet" in uav.endpoints.refusals.newest
-    assert not uav._epochs.announced
+    assert not uav.flight.epochs.announced
     true(leg)
-    ros.spin_until(lambda: uav._epochs.announced)
+    ros.spin_until(lambda: uav.flight.epochs.announced)
     ros.spin_until(uav.endpoints.rivals)
     assert uav.endpoints.rivals()[0].startswith("/formation/epoch: /")
 

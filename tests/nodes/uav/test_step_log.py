@@ -9,8 +9,8 @@ from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import Stamped, WireError, decode_floats, decode_integers
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.uav import step_log
-from ptnsbc_nodes.uav.controller import StepTime, UavController
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 SENDERS = Senders(parent=2, leader=1, estimators=(2, 4))

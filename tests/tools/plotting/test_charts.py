@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
-from ptnsbc_nodes.uav.controller import StepTime
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
+from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts

@@ -13,7 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
-from ptnsbc_nodes.uav.controller import UavController
+from ptnsbc_nodes.uav.uav_controller import UavController
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import Slots, optimal_slots, with_slots
 
@@ -63,20 +63,13 @@ class OpenSlots:
 
     Args:
         scenario: of the flight.
-        uav_id: the UAV.
-        edges: the communication graph of the scenario.
+        holder: takes the slot.
         controller: of the UAV.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        uav_id: int,
-        edges: CommunicationGraph,
-        controller: UavController,
-    ) -> None:
+    def __init__(self, scenario: Scenario, holder: SlotHolder, controller: UavController) -> None:
         self.decided = DecidedSlots(scenario)
-        self.holder = SlotHolder(scenario, uav_id, edges)
+        self._holder = holder
         self._controller = controller
 
     def take(self, leg: Leg | None) -> bool:
@@ -86,7 +79,7 @@ class OpenSlots:
         slots = self.decided.of(leg.t0_ns)
         if slots is None:
             return False
-        self.holder.take(self._controller, leg.t0_ns, slots)
+        self._holder.take(self._controller, leg.t0_ns, slots)
         return True
 
     def fault(self, leg: Leg | None) -> str:

@@ -1,4 +1,4 @@
-"""Setpoints of a user's program: the leader of a fleet of processes follows them, and its bag is run again."""
+"""What a UAV hears: neighbours that are lost or send numbers that are none, and setpoints of a user's program."""
 
 from itertools import pairwise
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+
+from uav_surroundings import FOLLOWER, LEADER, PARENT, Others, body
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import read_bag
@@ -15,7 +17,7 @@ from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 STREAM = """
 extends: paper_5_free
@@ -37,6 +39,7 @@ def odometry(place):
     return found
 
 
+@pytest.mark.slow
 def test_the_leader_of_a_fleet_follows_setpoints_and_the_bag_runs_again(
     launch, ros, tmp_path, domain
 ):
@@ -108,3 +111,52 @@ def test_setpoints_before_the_flight_and_of_other_frames_are_refused():
     epochs.announce(3_000_000_000, "hold")
     with pytest.raises(EpochError):
         epochs.following(3_500_000_000, odometry((0, 0, 4)))
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("paper_5")
+
+
+def test_lockstep_goes_on_without_a_lost_neighbour(ros, scenario):
+    others = Others(ros, scenario, FOLLOWER)
+    others.form()
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    others.odom(scenario.timing.dt_ns)
+    others.neighbours(0, without=(PARENT,))
+    others.settle()
+    assert others.ticks() == [0]
+    others.lose(wire.HeaderTemplate(f"uav{PARENT}").encode(0))
+    ros.spin_until(lambda: others.ticks() == [0, 1])
+
+
+BROKEN = {
+    "nan": np.nan,
+    "inf": np.inf,
+    "huge": 1e308,
+}
+
+
+@pytest.mark.parametrize("value", BROKEN.values(), ids=BROKEN)
+def test_a_broken_state_of_a_neighbour_is_dropped_and_named(ros, scenario, value):
+    """One such number once poisoned a follower for the rest of its flight, in silence."""
+    others = Others(ros, scenario, FOLLOWER)
+    others.form()
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    values = body(LEADER)
+    values[0] = value
+    template = wire.OdometryTemplate("map", f"uav{LEADER}/base_link")
+    others.send_state[LEADER](template.encode(0, values))
+    others.odom(scenario.timing.dt_ns)
+    others.neighbours(0)
+    ros.spin_until(lambda: others.ticks() == [0, 1])
+    assert np.isfinite(others.wrenches[-1].values).all()
+    # The status after the refusal warns, those after it only count.
+    ros.spin_until(lambda: any(told.get("refused") for _, _, told in others.status))
+    level, message, told = next(one for one in others.status if one[2].get("refused"))
+    assert (level, told["refused"]) == (b"\x01", f"/uav{LEADER}/formation_state=1")
+    assert "1 messages refused: /uav1/formation_state: nav_msgs/Odometry: position" in message

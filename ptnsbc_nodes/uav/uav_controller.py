@@ -6,6 +6,7 @@ No ROS in here.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedInputs, PackedOutputs
@@ -23,13 +24,21 @@ from ptnsbc_core.types import (
     Vector3,
 )
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import Senders
+from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
-from ptnsbc_nodes.uav.roles import RoleHolder
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
-from ptnsbc_sim.roles import moved_on
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.roles import RoleChange, moved_on
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.mission.membership import Formations, Membership, View
+
+
+class Tick(NamedTuple):
+    """A tick that is due."""
+
+    now_ns: int
+    elapsed_ns: int  # since the tick before: whole control periods
+    cutoff_ns: int  # a neighbour's message must be stamped before to count
 
 
 class StepTime(NamedTuple):
@@ -65,10 +74,16 @@ def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
     return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
 
 
+_CUMULATIVE = (
+    *("ticks", "avoidance_active_s", "saturated_s", "holding_s"),
+    *("priority_violation_max", "deadlock_s"),
+)
+
+
 class UavCounters:
     """Cumulative counters of one UAV since its start, and the newest figures of its planner; for /diagnostics."""
 
-    SIZE = 6  # numbers in `numbers`
+    SIZE = len(_CUMULATIVE)  # numbers in `numbers`
 
     def __init__(self) -> None:
         self.ticks = 0
@@ -101,20 +116,13 @@ class UavCounters:
 
     def numbers(self) -> list[float]:
         """The cumulative counters as numbers."""
-        return [
-            float(self.ticks),
-            self.avoidance_active_s,
-            self.saturated_s,
-            self.holding_s,
-            self.priority_violation_max,
-            self.deadlock_s,
-        ]
+        return [float(getattr(self, name)) for name in _CUMULATIVE]
 
     def restore(self, numbers: Array) -> None:
         """Continue from what `numbers` returned."""
+        for name, number in zip(_CUMULATIVE, numbers, strict=True):
+            setattr(self, name, float(number))
         self.ticks = int(numbers[0])
-        self.avoidance_active_s, self.saturated_s, self.holding_s = map(float, numbers[1:4])
-        self.priority_violation_max, self.deadlock_s = map(float, numbers[4:])
 
     def values(self) -> dict[str, str]:
         """Counters and newest figures as key-value strings; `deadlock_s` from the first deadlock on."""
@@ -132,6 +140,89 @@ class UavCounters:
             "priority_violation_max": f"{self.priority_violation_max:.6g}",
             **deadlock,
         }
+
+
+class NewRole(NamedTuple):
+    """The role that a UAV has from this step on."""
+
+    change: RoleChange
+    config: AgentConfig
+    senders: Senders
+
+
+class RoleHolder:
+    """The role of one UAV, by the members that it sees.
+
+    Args:
+        scenario: of the flight; UAVs may come and go in it.
+        uav_id: the UAV.
+        edges: the communication graph of the scenario.
+    """
+
+    def __init__(self, scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> None:
+        self.uav = uav_id
+        self._edges = edges
+        self.follow(scenario)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the members seen so far."""
+        self._view = View(self._formations.scenario, self.uav)
+        self._began_ns: int | None = None
+        self._looked_ns: int | None = None
+        self._before: Scenario | None = self._formations.scenario
+        self._members = Membership(frozenset(), frozenset())
+
+    def follow(self, scenario: Scenario) -> None:
+        """Fly by the mission as it goes on after a word."""
+        self._formations = Formations(scenario)
+
+    def flown(self) -> Scenario:
+        """The scenario with the present graph."""
+        self._before = self._formations.of(self._members) or self._formations.scenario
+        return self._before
+
+    @property
+    def leads(self) -> bool:
+        """True if the UAV leads by the members that it sees."""
+        return self._before is not None and self._before.leader.id == self.uav
+
+    def holds(self, mode: int) -> bool:
+        """True if the UAV has to hold in a leg, because it is no member yet."""
+        return mode == MODE_FORMATION and self.uav in self._members.absent
+
+    def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> NewRole | None:
+        """Determine the members at a step; returns the new role of the UAV if it changes.
+
+        Args:
+            now_ns: the instant of the step [ns].
+            first_t0_ns: the first epoch [ns].
+            ages_s: ages [s] of the newest states that were received, by sender.
+        """
+        scenario = self._formations.scenario
+        if self._began_ns is None:
+            self._began_ns = max(now_ns, first_t0_ns)
+        if self._looked_ns is not None:
+            self._view.pause(now_ns - self._looked_ns)
+        self._looked_ns = now_ns
+        others = (uav for uav in scenario.uav_ids if uav != self.uav)
+        ages = {uav: ages_s.get(uav, NEVER_RECEIVED_S) for uav in others}
+        self._members = self._view.at(now_ns - first_t0_ns, now_ns - self._began_ns, ages)
+        after = self._formations.of(self._members)
+        if self.uav in self._members.absent:
+            self._before = None
+            return None
+        if after is None or after is self._before:
+            return None
+        change = RoleChange(self.uav, self._before, after)
+        self._before = after
+        senders = self._edges.of(after).senders(self.uav)
+        return NewRole(change, agent_config(after, self.uav), senders)
+
+
+def role_holder(scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> RoleHolder | None:
+    """The role of a UAV where UAVs may come and go, else None."""
+    return RoleHolder(scenario, uav_id, edges) if scenario.formation.reconfigures else None
 
 
 class UavController:
@@ -165,14 +256,9 @@ class UavController:
         begins anew.
         """
         self.slots = slots
-        self.config = _speed_limits(self.config).applied_to(config)
         self.inbox.listen_to(senders)
-        if self._agent is not None:
-            self._agent_config = self.limits.applied_to(config)
-            state = self._agent.state._replace(
-                estimate_valid=False, motions=NeighbourMotions(UNKNOWN, UNKNOWN), last_t=math.inf
-            )
-            self._agent = Agent.resumed(self._agent_config, state)
+        forgotten = NeighbourMotions(UNKNOWN, UNKNOWN)
+        self.go_on(config, estimate_valid=False, motions=forgotten, last_t=math.inf)
 
     def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
         """Take the role that follows from the present members; returns the step, in hold for an absent UAV."""
@@ -181,12 +267,9 @@ class UavController:
         ages = {one.sender: one.age_s for one in self.inbox.states(at.now_ns, cutoff_ns)}
         new = self._roles.look(at.now_ns, at.first_t0_ns, ages)
         if new is not None:
-            self.config = _speed_limits(self.config).applied_to(new.config)
             self.inbox.listen_to(new.senders)
-            if self._agent is not None:
-                self._agent_config = self.limits.applied_to(new.config)
-                state = moved_on(self._agent.state, new.change)
-                self._agent = Agent.resumed(self._agent_config, state)
+            moved = {} if self._agent is None else moved_on(self._agent.state, new.change)._asdict()
+            self.go_on(new.config, **moved)
         return at._replace(mode=MODE_HOLD) if self._roles.holds(at.mode) else at
 
     def as_member(self, scenario: Scenario) -> Scenario:
@@ -196,12 +279,16 @@ class UavController:
         self._roles.follow(scenario)
         return self._roles.flown()
 
-    def go_on(self, config: AgentConfig) -> None:
-        """Fly by another trajectory and shape from the next step on, which go on from where those before have come."""
+    def go_on(self, config: AgentConfig, **changes: Any) -> None:
+        """Fly by other constants from the next step on, with the limits of the vehicle.
+
+        Trajectory and shape go on from where those before have come; `changes` are of the agent's state.
+        """
         self.config = _speed_limits(self.config).applied_to(config)
         if self._agent is not None:
             self._agent_config = self.limits.applied_to(config)
-            self._agent = Agent.resumed(self._agent_config, self._agent.state)
+            state = self._agent.state._replace(**changes)
+            self._agent = Agent.resumed(self._agent_config, state)
 
     @property
     def leads(self) -> bool:

@@ -10,9 +10,11 @@ from uav_surroundings import FOLLOWER, LEADER, NEIGHBOURS, PARENT, Others, call
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.diagnostics import SafetyState, assess
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_nodes.uav.uav_node import UavNode
+from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
@@ -162,3 +164,28 @@ def test_a_uav_whose_vehicle_is_gone_for_good_ends(ros, scenario):
     assert ended == []
     uav.look_for_vehicle(time.monotonic() + 31.0)
     assert ended
+
+
+@pytest.mark.parametrize(
+    ("sight", "state", "reason"),
+    [
+        ({}, SafetyState.NOMINAL, ""),
+        ({"waiting_for": "/a", "flying": False}, SafetyState.NOMINAL, "waiting for /a"),
+        ({"waiting_for": "/a"}, SafetyState.DEGRADED, "waiting for /a"),
+        ({"near_stale": True}, SafetyState.DEGRADED, "near objects are stale: slow"),
+        ({"silent_estimates": "uav2"}, SafetyState.DEGRADED, "estimates left out: uav2"),
+        ({"missed_ticks": 3}, SafetyState.DEGRADED, "3 ticks missed since the last status"),
+        ({"intruder": "/b: again"}, SafetyState.DEGRADED, "/b: again"),
+        ({"holding": True}, SafetyState.HOLD_CLEAR, "holding"),
+        ({"holding": True, "slots_fault": "no slots"}, SafetyState.HOLD_CLEAR, "no slots"),
+        ({"inactive": True, "holding": True}, SafetyState.STOP, "inactive"),
+        (
+            {"odometry_stale": True, "clock_offset": "clock 0.2 s ahead"},
+            SafetyState.STOP,
+            "own odometry is stale: no setpoints; clock 0.2 s ahead",
+        ),
+    ],
+)
+def test_what_a_uav_notices_and_its_state(sight, state, reason):
+    found = assess(planner_concerns(PlannerSight(**sight)))
+    assert (found.state, found.reason) == (state, reason)

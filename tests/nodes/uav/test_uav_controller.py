@@ -1,4 +1,4 @@
-"""The controller of one UAV: why it is slow, and what late odometry does to it."""
+"""The controller of one UAV: why it is slow, what late odometry does to it, and its place where UAVs come and go."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.controller import StepTime, UavController
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.uav_controller import RoleHolder, StepTime, UavController
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.world import World
@@ -87,3 +87,19 @@ def test_an_estimate_is_of_the_time_that_its_message_has(late_ticks: int) -> Non
         at = StepTime(tick * period_ns, period_ns, MODE_FORMATION, 0, 0, True)
         outputs = flown.step(at, NO_CUTOFF_NS)
     np.testing.assert_allclose(outputs.leader_estimate[0:3], leader_at(299 - late_ticks), atol=1e-6)
+
+
+ROLE_DT_NS = 10_000_000
+FRESH = dict.fromkeys(range(2, 8), 0.01)
+
+
+@pytest.mark.parametrize(("pause_s", "leads"), [(0.4, True), (0.6, False)])
+def test_a_leader_whose_process_stood_still_knows_that_it_was_lost(pause_s, leads):
+    """SIGSTOP, or a computer that is too busy: the others follow the successor by then."""
+    relay = load_scenario("relay")
+    role = RoleHolder(relay, 1, CommunicationGraph(relay, FlightOptions()))
+    for tick in range(100):
+        role.look(tick * ROLE_DT_NS, 0, FRESH)
+    assert role.leads
+    role.look(99 * ROLE_DT_NS + round(pause_s * 1e9), 0, FRESH)
+    assert role.leads is leads

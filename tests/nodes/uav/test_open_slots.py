@@ -12,10 +12,10 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.slots import Decision
-from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, at_epoch
+from ptnsbc_nodes.uav.open_slots import OpenSlots, SlotDecider, SlotHolder, at_epoch
 from ptnsbc_nodes.uav.step_log import sources, used_by
+from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
@@ -39,14 +39,14 @@ class Uav:
 
     def __init__(self, uav: int) -> None:
         self.controller = UavController(agent_config(SCENARIO, uav), EDGES.senders(uav))
-        self.slots = OpenSlots(SCENARIO, uav, EDGES, self.controller)
+        self.slots = OpenSlots(SCENARIO, SlotHolder(SCENARIO, uav, EDGES), self.controller)
 
 
 def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
     one = Uav(5)
     assert EDGES.senders(5).heard_states == (1, 2, 3, 4)
     inbox = one.controller.inbox
-    assert set(inbox.state_handlers()) == set(inbox.estimate_handlers()) == {1, 2, 3, 4}
+    assert set(inbox.state_queues) == set(inbox.estimate_queues) == {1, 2, 3, 4}
     assert one.controller.inbox.senders.states == (1, 4)
     epochs = Epochs()
     epochs.announce(0, "form")

@@ -11,12 +11,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.comm.announcements import OrderedFault
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.disturbances.faults import strikes, without_position
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock
 
 _MOST_INJECTED = 20  # that are remembered
+_WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed
 
 
 def _kill_this_process() -> None:
@@ -61,6 +63,11 @@ class UavFaults:
             self._t0_ns = t0_ns
             self._inbox.begin(t0_ns)
             self._own += [(fault, t0_ns) for fault in self._scenario]
+
+    def take(self, order: OrderedFault, now_ns: int) -> None:
+        """A fault that an operator injects; in real time all UAVs count it from the same instant."""
+        alike = not self._lockstep and abs(order.stamp_ns - now_ns) < _WINDOW_NS
+        self.inject(order.fault, order.stamp_ns if alike else now_ns)
 
     def inject(self, fault: FaultBlock, now_ns: int) -> None:
         """A fault that begins now."""

@@ -5,8 +5,8 @@ import pytest
 
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.uav.faults import UavFaults, sent_faults
 from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_nodes.uav.uav_faults import UavFaults, sent_faults
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
@@ -38,7 +38,7 @@ def test_a_process_receives_what_the_headless_flight_receives():
     expected, dt_ns = last_state_received(scenario, 3, 2), scenario.timing.dt_ns
     for tick in range(scenario.timing.ticks):
         inbox.on_state(2, state(tick * dt_ns))
-        heard = inbox._states[2].before(tick * dt_ns, tick * dt_ns)
+        heard = inbox.state_queues[2].before(tick * dt_ns, tick * dt_ns)
         assert (-1 if heard is None else heard.stamp_ns // dt_ns) == expected[tick], tick
 
 
@@ -50,8 +50,8 @@ def test_faults_count_from_the_first_epoch_and_only_once():
     faults.begin(EPOCH_NS - 1_000_000_000)  # another leg
     inbox.on_state(2, state(before))
     inbox.on_state(2, state(after))
-    assert inbox._states[2].before(2**62, 2**62).stamp_ns == before
-    assert inbox._states[2].newest_ns == after
+    assert inbox.state_queues[2].before(2**62, 2**62).stamp_ns == before
+    assert inbox.state_queues[2].newest_ns == after
 
 
 def test_in_lockstep_a_uav_ends_itself_at_its_tick():
@@ -96,9 +96,9 @@ def test_an_operators_fault_begins_now_and_is_remembered_in_words():
     fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0, "duration_s": 1})
     faults.inject(fault, now_ns)
     inbox.on_state(2, state(now_ns + 10_000_000))
-    assert inbox._states[2].before(2**62, 2**62) is None
+    assert inbox.state_queues[2].before(2**62, 2**62) is None
     inbox.on_state(2, state(now_ns + 1_010_000_000))
-    assert inbox._states[2].before(2**62, 2**62) is not None
+    assert inbox.state_queues[2].before(2**62, 2**62) is not None
     assert faults.injected == ["silence of uav2 at 12.3 s for 1 s"]
 
 

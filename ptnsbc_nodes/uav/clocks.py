@@ -1,0 +1,166 @@
+"""The two clocks of a UAV process: when a tick is due, which messages count at it, and which stamps are taken.
+
+In real time a timer ticks at the control rate, and the newest messages count. In lock-step a tick is due when its
+messages are here: the own odometry of tick k, and the neighbours' messages of k-1. One of tick k that arrives before
+the tick does not replace that of k-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.comm.diagnostics import status_every
+from ptnsbc_nodes.comm.door import LockstepHorizon, LockstepStamps, RealTimeStamps
+from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
+from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.uav_controller import Tick
+from ptnsbc_nodes.uav.uav_flight import UavFlight
+from ptnsbc_sim.scenario import Scenario
+
+LEAD_NS = 500_000_000
+"""An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
+
+
+class RealTimeClock:
+    """The clock of the node, whose timer ticks."""
+
+    lockstep = False
+
+    def __init__(self, node: Node, scenario: Scenario) -> None:
+        self._node = node
+        self._period_ns = scenario.timing.dt_ns
+        self.start_ns = self.now_ns()
+        self.pace = Pace(scenario.timing.dt_ns)
+        self._ticker: Ticker | None = None
+        self._compared: Senders | None = None  # those whose clocks are compared with ours
+        self._offsets = ClockOffsetMonitor(())
+
+    def now_ns(self) -> int:
+        """Time of the flight."""
+        return int(self._node.get_clock().now().nanoseconds)
+
+    next_ns = now_ns
+
+    def epoch_ns(self, *, first: bool, at_once: bool) -> int:
+        """The epoch of a leg that is announced now."""
+        return self.now_ns() + (0 if at_once else LEAD_NS)
+
+    def stamp_rule(self) -> RealTimeStamps:
+        """The rule for the stamps of a new sender."""
+        return RealTimeStamps(self.now_ns)
+
+    def start(self, on_tick: Callable[[], None]) -> None:
+        """Tick once per period from now on."""
+        self.pace = Pace(self._period_ns)
+        self._ticker = Ticker(self._node, self._period_ns, on_tick)
+
+    def align(self, own: Stamped | None) -> None:
+        """Tick a little after the arrival of the own odometry."""
+        if self._ticker is not None and own is not None:
+            self._ticker.align(own.stamp_ns)
+
+    def stop(self) -> None:
+        """Tick no longer."""
+        if self._ticker is not None:
+            self._ticker.close()
+            self._ticker = None
+
+    def due(self, flight: UavFlight) -> Tick | None:
+        """The tick of the timer; None without fresh odometry: a setpoint proves that the controller has it."""
+        now_ns, inbox = self.now_ns(), flight.inbox
+        elapsed_ns = self.pace.tick(now_ns) * self._period_ns
+        if self._compared is not inbox.senders:
+            self._compared = inbox.senders
+            self._offsets = ClockOffsetMonitor(inbox.topic_names(flight.uav))
+        self._offsets.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
+        if inbox.own is None or flight.controller.odometry_stale(now_ns):
+            return None
+        return Tick(now_ns, elapsed_ns, NO_CUTOFF_NS)
+
+    def done(self, tick: Tick) -> bool:
+        """A tick is done; returns whether a status follows it at once."""
+        return False
+
+    @property
+    def offset(self) -> str:
+        """The clock that differs most from ours, in words; empty while none differs much."""
+        return str(self._offsets.offset or "")
+
+    def status_ns(self) -> int | None:
+        """The instant of the status that is due by wall time."""
+        return self.now_ns()
+
+
+class LockstepClock:
+    """The stamps of the odometry, which the simulation gives."""
+
+    lockstep = True
+    start_ns = 0
+    offset = ""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._period_ns, self._near_every = scenario.timing.dt_ns, scenario.near_every
+        self._status_every_ns = status_every(scenario) * scenario.timing.dt_ns
+        # The queues keep as many ticks, see `inbox`.
+        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.timing.dt_ns)
+        self.pace = Pace(scenario.timing.dt_ns)  # of no timer: nothing is missed
+        self._done_ns = self._seen_ns = -1  # newest tick, now and at the last look
+
+    def now_ns(self) -> int:
+        """Time of the flight."""
+        return max(self._done_ns, 0)
+
+    def next_ns(self) -> int:
+        """Time of the flight that no tick has reached yet."""
+        return self.now_ns() + self._period_ns
+
+    def epoch_ns(self, *, first: bool, at_once: bool) -> int:
+        """The epoch of a leg that is announced now: simulated time starts with the first."""
+        return 0 if first else self.now_ns() + LEAD_NS
+
+    def stamp_rule(self) -> LockstepStamps:
+        """The rule for the stamps of a new sender."""
+        return LockstepStamps(self._horizon, self._period_ns)
+
+    def start(self, on_tick: Callable[[], None]) -> None:
+        """Messages make the ticks; those of the first may be here."""
+        on_tick()
+
+    def align(self, own: Stamped | None) -> None:
+        """There is no timer to align."""
+
+    def stop(self) -> None:
+        """There is no timer to stop."""
+
+    def due(self, flight: UavFlight) -> Tick | None:
+        """The tick of the newest odometry, once everything for it is here."""
+        own = flight.inbox.own
+        if own is None or own.stamp_ns <= self._done_ns or not flight.epochs.announced:
+            return None
+        tick = Tick(own.stamp_ns, self._period_ns, own.stamp_ns)
+        if flight.faults.plays_dead(tick.now_ns):
+            flight.controller.forget()
+            self.done(tick)
+            return None
+        if not flight.take_slot(flight.leg(tick.now_ns)):
+            return None  # the decision is on its way
+        return tick if flight.inbox.holds_tick(self._period_ns, self._near_every) else None
+
+    def done(self, tick: Tick) -> bool:
+        """A tick is done; returns whether a status follows it at once."""
+        self._done_ns = tick.now_ns
+        self._horizon.move(tick.now_ns)
+        return tick.now_ns % self._status_every_ns == 0
+
+    def status_ns(self) -> int | None:
+        """-1 while the flight has not begun or the UAV waits for others: the launcher learns that it is alive."""
+        waits = self._done_ns in (-1, self._seen_ns)
+        self._seen_ns = self._done_ns
+        return -1 if waits else None
+
+
+UavClock = RealTimeClock | LockstepClock

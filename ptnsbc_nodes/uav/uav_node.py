@@ -1,0 +1,173 @@
+"""One UAV on ROS 2: bytes in, one control step per tick, bytes out. Its clock says when a tick is due."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ptnsbc_io.wire import HeaderFields
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import decode_leg
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.robot_description import publish_description
+from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
+from ptnsbc_nodes.uav.leg_services import LegServices
+from ptnsbc_nodes.uav.uav_flight import UavFlight
+from ptnsbc_nodes.uav.uav_status import UavStatus, VehiclePresence
+from ptnsbc_nodes.uav.uav_topics import LeaderSetpoints, Outbox, Subscriptions
+from ptnsbc_sim.scenario import Scenario
+
+
+class UavNode:
+    """The controller of one UAV: one rclpy node, one tick; it only listens until `activate`."""
+
+    def __init__(
+        self,
+        node: Node,
+        scenario: Scenario,
+        uav_id: int,
+        edges: CommunicationGraph,
+        on_abandoned: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
+        self.node = node
+        self._recorded = edges.options.recorded
+        self._active = False
+        self._vehicle = VehiclePresence(on_abandoned)
+        self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
+        self._clock: UavClock = (
+            LockstepClock(scenario) if edges.options.lockstep else RealTimeClock(node, scenario)
+        )
+        self.flight = UavFlight(scenario, uav_id, edges)
+        self._outbox = Outbox(self.endpoints, edges, self.flight)
+        self._heard = Subscriptions(node, self.endpoints, self.flight, self._clock, self._advance)
+        self._heard.hear(topics.EPOCH, decode_leg, self._on_leg)
+        if edges.options.bridged:
+            self._heard.hear_limits()
+        if self.flight.slots is not None and uav_id == scenario.leader.id:
+            self._heard.decide_slots(edges)
+        publish_description(self.endpoints, scenario, uav_id)
+        self._status = UavStatus(self.endpoints, node, self.flight, self._clock, edges.options)
+        self._leg_services = self._services(edges)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        if not self._clock.lockstep:
+            self.endpoints.last_word = lambda: self._report(self._clock.now_ns())
+
+    @property
+    def begun(self) -> bool:
+        """True if a leg has been announced."""
+        return self.flight.epochs.announced
+
+    def activate(self) -> None:
+        """Begin to tick. In real time control begins anew, where the vehicle is by then."""
+        self._active = True
+        if not self._clock.lockstep:
+            self.flight.controller.restart()
+        self._clock.start(self._advance)
+
+    def deactivate(self) -> None:
+        """Publish nothing but diagnostics; go on listening."""
+        self._active = False
+        self._clock.stop()
+
+    def close(self) -> None:
+        """Remove everything from the node."""
+        self.deactivate()
+        self.node.destroy_timer(self._timer)
+        if self._leg_services is not None:
+            self._leg_services.close()
+        self.endpoints.close()
+
+    def waiting_for(self) -> list[str]:
+        """Topics without their other end; in real time also an odometry that has not arrived yet.
+
+        Before the first leg a recorded topic waits for its recorder. In flight a recorder or a child that
+        ends is no reason to wait.
+        """
+        missing, early = self.endpoints.unheard(), not self.begun
+        if not self._active:
+            missing.append(INACTIVE)
+        if early:
+            missing += self.endpoints.contested()
+        if self._clock.lockstep:
+            return missing + self.endpoints.unread()
+        if self._recorded and early:
+            missing += self.endpoints.unread()
+            if self._leg_services is not None:
+                missing += self._leg_services.missing_listeners()
+        if self.flight.inbox.own is None and self._heard.odom_name not in missing:
+            missing.append(self._heard.odom_name)
+        if early:
+            missing += [name for name in self._heard.unknown_positions() if name not in missing]
+            if self._clock.offset:
+                missing.append(f"another time: {self._clock.offset}")
+        return missing
+
+    def look_for_vehicle(self, now_s: float) -> None:
+        """Notice when the process of the vehicle is gone for good."""
+        self._vehicle.look(self._heard.odom_name not in self.endpoints.unheard(), now_s)
+
+    def _waiting_to_start(self) -> list[str]:
+        """The things for which a leg in formation waits: with open slots, positions too."""
+        missing = self.waiting_for()
+        return [
+            *missing,
+            *(name for name in self._heard.unknown_positions() if name not in missing),
+        ]
+
+    def _services(self, edges: CommunicationGraph) -> LegServices | None:
+        """The services of the leader, which a successor serves when it leads; None for all others."""
+        flight, scenario = self.flight, self.flight.scenario
+        leads = flight.uav == scenario.leader.id
+        if scenario.formation.reconfigures:
+            self.endpoints.shared.add(topics.EPOCH.name)
+        if leads and scenario.takes_setpoints:
+            LeaderSetpoints(self.endpoints, edges.options.recorders, flight.epochs, self._clock)
+        if not leads and not (
+            scenario.formation.reconfigures and flight.uav in scenario.leader.successors
+        ):
+            return None
+        services = LegServices(
+            self.node, self.endpoints, edges, flight, self._clock, self._waiting_to_start
+        )
+        if leads:
+            services.serve()
+        return services
+
+    def _on_leg(self, leg: HeaderFields) -> None:
+        is_new = self.flight.take_leg(leg)
+        if is_new and self._leg_services is not None:
+            self._leg_services.keep(leg)
+        self._clock.align(self.flight.inbox.own)
+
+    def _advance(self) -> None:
+        """Do the tick if one is due."""
+        tick = self._clock.due(self.flight) if self._active else None
+        if tick is None:
+            return
+        step = self.flight.step(tick, self._clock.start_ns)
+        if not step.at.flying:  # not announced or still to come
+            self._clock.pace.missed = 0
+        status_due = self._clock.done(tick)
+        self._outbox.send(step)
+        if self._leg_services is not None and step.at.flying:
+            self._leg_services.follow(self.flight.controller)
+        if status_due:
+            self._report(tick.now_ns)
+
+    def _on_status_timer(self) -> None:
+        self.look_for_vehicle(time.monotonic())
+        stamp_ns = self._clock.status_ns()
+        if stamp_ns is not None:
+            self._report(stamp_ns)
+
+    def _report(self, stamp_ns: int) -> None:
+        """Publish the status at an instant of the flight; -1 is outside of the flight."""
+        observed = stamp_ns < 0 or not self._clock.lockstep
+        self._status.publish(stamp_ns, self.waiting_for() if observed else [], self._active)

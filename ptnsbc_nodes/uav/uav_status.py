@@ -1,0 +1,157 @@
+"""The status that a UAV process publishes, its safety state, and the notice that its vehicle's process is gone.
+
+A follower whose parent or leader is silent holds by the law itself, which keeps it clear meanwhile. A UAV without its
+own odometry sends no setpoint, because a setpoint is the proof of life for its vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+from rclpy.node import Node
+
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.diagnostics import (
+    SAFETY,
+    Concern,
+    DiagnosticLevel,
+    SafetyState,
+    StatusLog,
+    assess,
+    diagnostics,
+    readiness,
+)
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.comm.topics import READY
+from ptnsbc_nodes.uav.clocks import UavClock
+from ptnsbc_nodes.uav.uav_flight import UavFlight
+
+ABANDONED_S = 30.0
+"""A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
+
+
+class VehiclePresence:
+    """Notices that a vehicle's process, which was there, has been gone for `ABANDONED_S`."""
+
+    def __init__(self, on_abandoned: Callable[[], None]) -> None:
+        self._on_abandoned = on_abandoned
+        self._seen_s: float | None = None
+
+    def look(self, present: bool, now_s: float) -> None:
+        """Take note of whether the process is there."""
+        if present:
+            self._seen_s = now_s
+        elif self._seen_s is not None and now_s - self._seen_s > ABANDONED_S:
+            self._on_abandoned()
+
+
+class PlannerSight(NamedTuple):
+    """The observations of a UAV process on its inputs and its flight; an empty text says that nothing is wrong."""
+
+    holding: bool = False
+    inactive: bool = False
+    odometry_stale: bool = False
+    slots_fault: str = ""  # why it does not know its slot
+    deadlock: bool = False  # it climbs out of one
+    near_stale: bool = False
+    silent_estimates: str = ""  # UAVs whose estimates of the leader are left out
+    clock_offset: str = ""
+    intruder: str = ""  # refused messages, or a second publisher
+    missed_ticks: int = 0  # since the last status
+    waiting_for: str = ""
+    flying: bool = True  # a leg has been announced
+
+
+def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
+    """The reasons for the safety state of a UAV process."""
+    error, warn = DiagnosticLevel.ERROR, DiagnosticLevel.WARN
+    if sight.inactive:  # it was told to be: nothing else of it counts
+        yield Concern(SafetyState.STOP, warn, "inactive")
+        return
+    if sight.odometry_stale:
+        yield Concern(SafetyState.STOP, error, "own odometry is stale: no setpoints")
+    if sight.slots_fault:
+        yield Concern(SafetyState.HOLD_CLEAR, error, sight.slots_fault)
+    elif sight.holding:
+        yield Concern(SafetyState.HOLD_CLEAR, warn, "holding")
+    for reason in filter(None, _lacks(sight)):
+        yield Concern(SafetyState.DEGRADED, warn, reason)
+    if sight.waiting_for:
+        state = SafetyState.DEGRADED if sight.flying else SafetyState.NOMINAL
+        yield Concern(state, warn, f"waiting for {sight.waiting_for}")
+
+
+def _lacks(sight: PlannerSight) -> tuple[str, ...]:
+    """Faults in spite of which the UAV flies on; an empty text says that there is none."""
+    silent, missed = sight.silent_estimates, sight.missed_ticks
+    return (
+        sight.clock_offset,
+        "deadlock: avoidance leaves no way to the place" if sight.deadlock else "",
+        "near objects are stale: slow" if sight.near_stale else "",
+        f"estimates left out: {silent}" if silent else "",
+        sight.intruder,
+        f"{missed} ticks missed since the last status" if missed > 0 else "",
+    )
+
+
+class UavStatus:
+    """The status of one UAV: on /diagnostics, and in lock-step before and between ticks on /formation/ready."""
+
+    def __init__(
+        self,
+        endpoints: Endpoints,
+        node: Node,
+        flight: UavFlight,
+        clock: UavClock,
+        options: FlightOptions,
+    ) -> None:
+        self._endpoints = endpoints
+        self._flight = flight
+        self._clock = clock
+        self._send = endpoints.publisher(topics.DIAGNOSTICS, options.recorders)
+        self._send_ready = endpoints.publisher(READY, 0)
+        self._log = StatusLog(node)
+        self._reported_missed = 0
+
+    def publish(self, stamp_ns: int, missing: Sequence[str], active: bool) -> None:
+        """Publish the status at an instant of the flight, -1 outside of it; `missing`: what the UAV waits for."""
+        flight = self._flight
+        leg = flight.leg(stamp_ns)
+        safety = assess(planner_concerns(self._sight(stamp_ns, missing, active)))
+        values = {
+            **readiness(missing),
+            "mode": leg.name if leg else "waiting",
+            SAFETY: safety.state.text,
+            "missed_ticks": str(self._clock.pace.missed),
+            **flight.controller.counters.values(),
+            **self._endpoints.refusals.values(),
+        }
+        if flight.faults.injected:
+            values["injected"] = "; ".join(flight.faults.injected)
+        self._log.note(safety.level, safety.reason)
+        send = self._send if stamp_ns >= 0 else self._send_ready
+        name = f"uav{flight.uav}: planner"
+        send(diagnostics(max(stamp_ns, 0), name, safety.level, safety.reason, values))
+
+    def _sight(self, stamp_ns: int, missing: Sequence[str], active: bool) -> PlannerSight:
+        flight, clock, controller = self._flight, self._clock, self._flight.controller
+        flying = flight.epochs.announced
+        missed = clock.pace.missed - self._reported_missed
+        self._reported_missed = clock.pace.missed
+        silent = () if clock.lockstep or not flying else controller.silent_estimates(stamp_ns)
+        return PlannerSight(
+            holding=flying and controller.counters.holding,
+            inactive=not active,
+            odometry_stale=not clock.lockstep and controller.odometry_stale(stamp_ns),
+            slots_fault="" if flight.slots is None else flight.slots.fault(flight.leg(stamp_ns)),
+            deadlock=flying and controller.counters.deadlock,
+            near_stale=flying and controller.near_stale,
+            silent_estimates=" ".join(f"uav{i}" for i in silent),
+            clock_offset=clock.offset,
+            intruder=self._endpoints.warning(),
+            missed_ticks=missed,
+            waiting_for=", ".join(missing),
+            flying=flying,
+        )

@@ -1,0 +1,241 @@
+"""The subscriptions and publishers of one UAV, and the setpoints of a user's program for its leader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+from rclpy.node import Node
+
+from ptnsbc_core.types import Array
+from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_near
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
+from ptnsbc_nodes.comm.announcements import decode_lost, fault_decoder
+from ptnsbc_nodes.comm.door import (
+    LockstepStamps,
+    RealTimeStamps,
+    RefusedMessage,
+    in_lockstep,
+    in_order,
+)
+from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
+from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.slots import Decision, encode_slots
+from ptnsbc_nodes.comm.topics import Topic
+from ptnsbc_nodes.comm.vehicle_messages import decode_limits
+from ptnsbc_nodes.uav.clocks import UavClock
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, MessageQueue
+from ptnsbc_nodes.uav.open_slots import SlotDecider
+from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
+from ptnsbc_nodes.uav.uav_flight import FlownStep, UavFlight
+from ptnsbc_sim.scenario import Scenario
+
+T = TypeVar("T")
+
+
+class Subscriptions:
+    """Everything that a UAV hears, on its way into its flight.
+
+    Args:
+        node: of the UAV.
+        endpoints: of the node.
+        flight: takes the messages.
+        clock: its rule says which stamps are taken.
+        advance: called in lock-step after each message, which may be the last that a tick waits for.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        endpoints: Endpoints,
+        flight: UavFlight,
+        clock: UavClock,
+        advance: Callable[[], None],
+    ) -> None:
+        self._node = node
+        self._endpoints = endpoints
+        self._flight = flight
+        self._clock = clock
+        self._advance = advance
+        # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
+        self.odom_name = self._hear_odometry(flight.uav, flight.take_odometry)
+        near = in_order(checked_near, clock.stamp_rule())
+        self.hear(topics.near(flight.uav), near, flight.take_near, required=clock.lockstep)
+        self._hear_neighbours()
+        self.hear(topics.LOST, decode_lost, flight.take_lost, required=False)
+        if flight.faults.allowed:
+            faults = fault_decoder(flight.scenario.uav_ids)
+            self.hear(
+                topics.FAULT,
+                faults,
+                lambda order: flight.faults.take(order, clock.now_ns()),
+                required=False,
+            )
+        if flight.slots is not None:
+            self.hear(topics.SLOTS, flight.slots.decided.decode, flight.slots.decided.keep)
+
+    def hear(
+        self,
+        topic: Topic,
+        decode: Callable[[bytes], T],
+        take: Callable[[T], None],
+        required: bool = True,
+    ) -> str:
+        """Subscribe to a topic; returns its name after remapping."""
+
+        def take_and_advance(message: T) -> None:
+            take(message)
+            self._advance()
+
+        deliver = take_and_advance if self._clock.lockstep else take
+        return self._endpoints.listen(topic, decode, deliver, required)
+
+    def hear_limits(self) -> None:
+        """Hear the limits of a real vehicle from its bridge."""
+        limits = topics.limits(self._flight.uav)
+        self._endpoints.listen(limits, decode_limits, self._flight.take_limits)
+
+    def decide_slots(self, edges: CommunicationGraph) -> None:
+        """Decide the slots of the fleet, by the odometry of all UAVs."""
+        flight, scenario = self._flight, self._flight.scenario
+        publish = self._endpoints.publisher(topics.SLOTS, edges.slots_readers())
+
+        def announce(decision: Decision) -> None:
+            publish(encode_slots(decision))
+            if flight.slots is not None:
+                flight.slots.decided.keep(decision)
+
+        decider = flight.decider = SlotDecider(scenario, announce)
+        for uav in scenario.uav_ids:
+            if uav != flight.uav:
+                self._hear_odometry(uav, partial(decider.on_odometry, uav))
+
+    def unknown_positions(self) -> list[str]:
+        """Real time: odometry that the decision on the slots lacks."""
+        if self._flight.decider is None or self._clock.lockstep:
+            return []
+        stale_ns = round(self._flight.controller.config.stale_s * 1e9)
+        unknown = self._flight.decider.unknown(self._clock.now_ns() - stale_ns)
+        return [full_name(self._node, topics.odom(uav)) for uav in unknown]
+
+    def _hear_odometry(self, uav: int, take: Callable[[Stamped], None]) -> str:
+        decode = in_order(OdometryDecoder(), self._clock.stamp_rule())
+        return self.hear(topics.odom(uav), decode, take)
+
+    def _hear_neighbours(self) -> None:
+        inbox = self._flight.inbox
+        for sender, queue in inbox.state_queues.items():
+            decode = OdometryDecoder(WORLD_FRAME, body_frame(sender, self._endpoints.fleet))
+            self._hear_neighbour(topics.formation_state(sender), decode, queue)
+        for sender, queue in inbox.estimate_queues.items():
+            decode = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
+            self._hear_neighbour(topics.leader_estimate(sender), decode, queue)
+
+    def _hear_neighbour(
+        self, topic: Topic, decode: Callable[[bytes], Stamped], queue: MessageQueue
+    ) -> None:
+        rule = self._clock.stamp_rule()
+        if not isinstance(rule, LockstepStamps):
+            self.hear(topic, in_order(decode, rule), queue.put)
+            return
+        name, refusals = full_name(self._node, topic), self._endpoints.refusals
+
+        def take(message: Stamped | RefusedMessage) -> None:
+            if isinstance(message, Stamped):
+                queue.put(message)
+            else:  # a lock-step flight does not wait for what cannot be used
+                refusals.add(name, message.reason)
+                queue.miss(message.stamp_ns)
+
+        self.hear(topic, in_lockstep(decode, rule), take)
+
+
+class Outbox:
+    """Publishers of one UAV: what it sends at each tick, and in real time the log of its steps."""
+
+    def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
+        uav, publisher, recorders = flight.uav, endpoints.publisher, edges.options.recorders
+        sent = flight.faults.sent if flight.faults.allowed else None
+        self._messages = AgentMessages(uav, endpoints.fleet, sent)
+        self._send_wrench = publisher(topics.wrench_setpoint(uav), edges.wrench_readers())
+        self._send_state = publisher(topics.formation_state(uav), edges.state_readers(uav))
+        self._send_estimate = publisher(topics.leader_estimate(uav), edges.estimate_readers(uav))
+        self._send_velocity = publisher(topics.velocity_setpoint(uav), recorders)
+        self._log = None
+        if not edges.options.lockstep:
+            self._log = _StepLogPublisher(endpoints, recorders, flight)
+
+    def send(self, step: FlownStep) -> None:
+        """Publish a step; the wrench first, because the plant waits for it."""
+        messages, outputs, stamp_ns = self._messages, step.outputs, step.own.stamp_ns
+        self._send_wrench(messages.wrench(stamp_ns, outputs.wrench))
+        self._send_state(messages.state(step.own, outputs))
+        self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
+        self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
+        if self._log is not None:
+            self._log.send(step)
+
+
+class _StepLogPublisher:
+    """Publishers of the step log, with which the steps of a UAV in real time can be repeated."""
+
+    def __init__(self, endpoints: Endpoints, readers: int, flight: UavFlight) -> None:
+        self._controller = flight.controller
+        self._snapshot_every = flight.scenario.timing.control_hz  # steps
+        self._senders = flight.inbox.senders
+        self._template = TickTemplate(self._senders)
+        self._send_tick = endpoints.publisher(topics.tick(flight.uav), readers)
+        self._send_snapshot = endpoints.publisher(topics.snapshot(flight.uav), readers)
+        self._snapshot: SnapshotTemplate | None = None
+
+    def send(self, step: FlownStep) -> None:
+        """Publish the messages that a step used, and at times the state after it."""
+        controller = self._controller
+        sequence = controller.steps - 1
+        if controller.inbox.senders is not self._senders:  # it has taken another slot
+            self._senders = controller.inbox.senders
+            self._template = TickTemplate(self._senders)
+        used = used_by(controller, step.at.now_ns, NO_CUTOFF_NS)
+        self._send_tick(self._template.encode(sequence, step.at, used))
+        if sequence % self._snapshot_every == 0:
+            self._snapshot = self._snapshot or SnapshotTemplate(controller)
+            self._send_snapshot(self._snapshot.encode(sequence, controller))
+
+
+class _TakenSetpoint(NamedTuple):
+    """A setpoint that the leader can follow."""
+
+    stamp_ns: int  # from when
+    odometry: Array  # (13,)
+    scenario: Scenario  # with it
+
+
+class LeaderSetpoints:
+    """Hears setpoints, and has the leader follow those that it can follow.
+
+    A setpoint counts from the tick after its arrival. In which tick that is decides the program that sends it; the
+    leader tells it on /formation/setpoint_taken, by which the bag is judged and run again.
+    """
+
+    def __init__(self, endpoints: Endpoints, readers: int, epochs: Epochs, clock: UavClock) -> None:
+        """`readers`: of the setpoints that are taken."""
+        self._epochs = epochs
+        self._next_ns = clock.next_ns
+        self._template = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
+        self._tell = endpoints.publisher(topics.TAKEN, readers)
+        stamps = RealTimeStamps(clock.next_ns)
+        self._decode = in_order(OdometryDecoder(WORLD_FRAME, WORLD_FRAME), stamps)
+        endpoints.listen(topics.SETPOINT, self._planned, self._take, required=False)
+
+    def _planned(self, data: bytes) -> _TakenSetpoint:
+        message: Stamped = self._decode(data)
+        now_ns = self._next_ns()
+        scenario = self._epochs.following(now_ns, message.values)
+        return _TakenSetpoint(now_ns, message.values, scenario)
+
+    def _take(self, taken: _TakenSetpoint) -> None:
+        self._epochs.scenario = taken.scenario
+        self._tell(self._template.encode(taken.stamp_ns, taken.odometry))
