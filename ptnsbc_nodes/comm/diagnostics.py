@@ -1,4 +1,4 @@
-"""What nodes publish about themselves on /diagnostics: mostly cumulative counters, and their safety state.
+"""Status that nodes publish of themselves on /diagnostics: mostly cumulative counters, and their safety state.
 
 The safety state says what a UAV process or a bridge still does, and why. Each says what concerns it, several things at
 once perhaps; the worst of them is its state. The state is under the key `safety`, and the reasons are the message, so
