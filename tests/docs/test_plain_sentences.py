@@ -19,7 +19,7 @@ from markdown_it import MarkdownIt
 from ptnsbc_tools.cli import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 _VERB = r"(?:is|are|was|were|has|have|comes|counts|goes|stays|wins)"
 # Up to a full stop or a semicolon: a question is not meant, and a label ("What a UAV reports.") has one verb only.
 _CLAUSE = re.compile(

@@ -18,7 +18,7 @@ from ptnsbc_nodes.fleet.child_process import EXECUTABLES
 from ptnsbc_tools.cli import app
 
 ROOT = Path(__file__).parents[2]
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 COMMANDS = typer.main.get_command(app)
 
 
