@@ -108,7 +108,7 @@ ANSWERS = (
         "with the next good one",
         (
             f"{_UAV}test_uav_topics.py::test_a_broken_state_of_a_neighbour_is_dropped_and_named",
-            "tests/nodes/sim/test_node.py::test_no_message_ends_the_sim",
+            "tests/nodes/sim/test_sim_node.py::test_no_message_ends_the_sim",
             "tests/nodes/fleet/test_coordinator_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
             "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does",
         ),
@@ -160,9 +160,9 @@ ANSWERS = (
         "children hold",
         f"when it is back; one without a launcher ends {ABANDONED_S:g} s after the sim",
         (
-            "tests/nodes/sim/test_real_time.py::test_a_vehicle_keeps_its_attitude_while_a_process_stands_still",
-            "tests/nodes/sim/test_node.py::test_real_time_runs_by_the_clock_and_hovers_without_wrenches",
-            "tests/nodes/sim/test_node.py::test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again",
+            "tests/nodes/sim/test_stepping.py::test_a_vehicle_keeps_its_attitude_while_a_process_stands_still",
+            "tests/nodes/sim/test_sim_node.py::test_real_time_runs_by_the_clock_and_hovers_without_wrenches",
+            "tests/nodes/sim/test_sim_node.py::test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again",
         ),
     ),
     FaultAnswer(

@@ -26,7 +26,7 @@ from ptnsbc_nodes.comm.topics import recorded
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.runtime.environment import free_domain
-from ptnsbc_nodes.sim.node import SimNode
+from ptnsbc_nodes.sim.sim_node import sim_node
 from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.slots import are_open
@@ -109,7 +109,7 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
                     lambda: None,
                 )
         if not options.bridged:
-            SimNode(node("sim"), scenario, edges, lambda: None)
+            sim_node(node("sim"), scenario, edges, lambda: None)
         stack.enter_context(_recorder(node("recorder"), scenario, options))
         for leads in (True, False):
             name = "fleet" if leads else "fleet_elsewhere"

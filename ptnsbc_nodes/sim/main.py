@@ -25,7 +25,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.runtime import environment, node_parameters
     from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node
     from ptnsbc_nodes.runtime.warmup import load_world
-    from ptnsbc_nodes.sim.node import SimNode
+    from ptnsbc_nodes.sim.sim_node import sim_node
 
     lifetime = ProcessLifetime()
     given = node_parameters.overrides(
@@ -55,7 +55,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             # The world is never late. Behind on full cores, it makes all odometry stale at once.
             environment.prefer_punctuality()
         graph = CommunicationGraph(settings.scenario, settings.options)
-        sim = SimNode(node, settings.scenario, graph, lifetime.end)
+        sim = sim_node(node, settings.scenario, graph, lifetime.end)
         lifetime.serve(node, sim.endpoints, rest_s=sim.rest_s)
     return 0
 

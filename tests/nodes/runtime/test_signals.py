@@ -111,7 +111,7 @@ PROCESSES = {
 INTERRUPTED = {"fleet": 130, "ptnsbc fleet": 130}  # the others end with 0
 LAST = {
     "uav": "ptnsbc_nodes.uav.uav_node",
-    "sim": "ptnsbc_nodes.sim.node",
+    "sim": "ptnsbc_nodes.sim.sim_node",
     "bridge": "ptnsbc_nodes.bridge.process",
     "recorder": "ptnsbc_nodes.recording.fleet_recorder",
     "coordinator": "ptnsbc_nodes.fleet.lifecycle_manager",

@@ -1,5 +1,7 @@
 """The sim node, with the UAVs played by the test."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,8 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.sim import main
-from ptnsbc_nodes.sim.node import SimNode, _lead_ticks
+from ptnsbc_nodes.sim.sim_node import sim_node
+from ptnsbc_nodes.sim.stepping import RecorderBacklog
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.world import World
 
@@ -69,7 +72,7 @@ class Uavs:
             )
         ends.listen(topics.CLOCK, bytes, lambda data: self.clock.append(wire.decode_clock(data)))
         ends.listen(topics.MARKERS, bytes, self.markers.append)
-        self.sim = SimNode(
+        self.sim = sim_node(
             ros.node("sim"),
             scenario,
             CommunicationGraph(scenario, FlightOptions(lockstep=lockstep, recorded=recorded)),
@@ -143,7 +146,7 @@ def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_re
     """A recorder under overload once lost messages, and their order."""
     scenario = load_scenario("paper_5", {"timing.duration_s": 2.0})
     uavs = Uavs(ros, scenario, recorded=True)
-    lead = _lead_ticks(scenario)
+    lead = RecorderBacklog(scenario, True).lead_ns // scenario.timing.dt_ns
     uavs.start()
     ros.spin_until(lambda: uavs.clock and uavs.clock[-1] >= lead * scenario.timing.dt_ns)
     uavs.settle()
@@ -221,7 +224,7 @@ def test_no_message_ends_the_sim(ros, scenario, lockstep):
     uavs.lose(wire.HeaderTemplate("uav" + 5000 * "9").encode(0))
     uavs.send[1](b"\0\1")
     ros.spin_until(lambda: len(uavs.sim.endpoints.refusals.counts) == 3)
-    uavs.announce(wire.HeaderTemplate("form").encode(uavs.sim._clock_ns()))
+    uavs.announce(wire.HeaderTemplate("form").encode(time.time_ns()))
     ros.spin_until(lambda: uavs.ended)
 
 
@@ -250,7 +253,7 @@ def test_functions_of_the_user_are_the_world_in_real_time(ros, tmp_path):
     (tmp_path / "mine.py").write_text(OWN_WORLD, "utf-8")
     keys = {f"plugins.{kind}": f"{tmp_path}/mine.py:{kind}" for kind in ("disturbance", "sensor")}
     uavs = Uavs(ros, load_scenario("paper_5", {**keys, "plant.kind": "quadrotor"}), lockstep=False)
-    uavs.announce(wire.HeaderTemplate("form").encode(uavs.sim._clock_ns()))
+    uavs.announce(wire.HeaderTemplate("form").encode(time.time_ns()))
     ros.spin_until(lambda: uavs.odometry[4] and uavs.near[4])
     began_m = uavs.odometry[4][0].values[0]
     ros.spin_until(lambda: uavs.odometry[4][-1].values[0] > began_m + 0.2)
@@ -258,7 +261,7 @@ def test_functions_of_the_user_are_the_world_in_real_time(ros, tmp_path):
 
 
 def hovering(uavs):
-    return uavs.sim._real_time.hovering(uavs.sim._clock_ns())
+    return uavs.sim.vehicles.hovering(time.time_ns())
 
 
 def test_markers_show_uavs_obstacles_edges_and_path(ros, scenario):
