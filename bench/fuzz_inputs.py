@@ -18,7 +18,7 @@ from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
-from ptnsbc_io.wire.diagnostics import decode_diagnostics
+from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_sim.scenario import agent_config, scenario_from_text
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.check import check

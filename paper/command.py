@@ -56,7 +56,7 @@ def reproduce(
     from ptnsbc_tools import console, options
 
     experiments = select(only)
-    changes = options.overrides(settings=settings)
+    changes = options.set_keys(settings)
     output.check_free(folder, [one.name for one in experiments])
     # Not above: this loads the laws, and a refusal does not wait for them.
     from paper import flights, report, runner

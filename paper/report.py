@@ -24,8 +24,8 @@ from paper.experiment_result import (
 from paper.flights import SCENARIOS, scenario
 from paper.output import RESULTS
 from paper.runner import TimedResult
+from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.sweep.runner import write_whole
 
 _IMAGES = "img/results"
 _ROOT = Path(__file__).resolve().parents[2]
@@ -212,9 +212,12 @@ def write_docs(origin: Origin, results: Sequence[TimedResult], folder: Path, doc
         for name in sorted(shown):
             shutil.copyfile(folder / "figures" / name, images / name)
         for page, text in pages(origin, parts, images=_IMAGES, all_figures=False).items():
-            write_whole(docs / f"{page}.md", text.encode())
+            with replacing(docs / f"{page}.md") as part:
+                part.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ReproduceError(f"--docs {docs}: {error.strerror}: expected to write there") from None
+        raise ReproduceError(
+            f"--docs {docs}: {error.strerror or error}: expected to write there"
+        ) from None
 
 
 def claims_table(results: Sequence[TimedResult]) -> RichTable:

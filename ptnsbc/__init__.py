@@ -18,8 +18,7 @@ from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools.check import Finding
 from ptnsbc_tools.doctor import examine as doctor
 from ptnsbc_tools.library.bags import repair, rerun, trim
-from ptnsbc_tools.library.export import export
-from ptnsbc_tools.library.flight import Flight
+from ptnsbc_tools.library.flight import QUANTITIES, Flight, Quantity
 from ptnsbc_tools.library.flying import (
     CheckReport,
     check,
@@ -31,8 +30,7 @@ from ptnsbc_tools.library.flying import (
 )
 from ptnsbc_tools.library.new_scenario import new
 from ptnsbc_tools.library.notebook import register as _register
-from ptnsbc_tools.library.quantities import QUANTITIES, Quantity
-from ptnsbc_tools.library.reporting import Report, report
+from ptnsbc_tools.library.reporting import Report, export, report
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.replay.rerun import Rerun
 from ptnsbc_tools.sweeps.comparison import SweepComparison

@@ -18,7 +18,7 @@ from ptnsbc_autopilot.physics.frames import PX4_HOME, Geodetic
 from ptnsbc_autopilot.physics.navigation import QUALITIES
 from ptnsbc_autopilot.server import Address, Codec, Endpoint, VehicleServer
 from ptnsbc_autopilot.vehicle import GCS, IMPOSTOR, AutopilotError, Log
-from ptnsbc_io.key_file import read_key
+from ptnsbc_io.files import read_key
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.scenario import Scenario, load_scenario
 

@@ -5,65 +5,129 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
+from typer.main import get_command
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.environment import one_thread
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
 from ptnsbc_tools import console
-from ptnsbc_tools.commands.bags import bag
-from ptnsbc_tools.commands.bags.record import record
-from ptnsbc_tools.commands.bags.replay import replay
-from ptnsbc_tools.commands.begin.check import check
-from ptnsbc_tools.commands.begin.doctor import doctor
-from ptnsbc_tools.commands.begin.new import new, scenarios
-from ptnsbc_tools.commands.fly import mission
-from ptnsbc_tools.commands.fly.demo import demo
-from ptnsbc_tools.commands.fly.fleet import fleet
-from ptnsbc_tools.commands.fly.inject import inject
-from ptnsbc_tools.commands.fly.simulate import simulate
-from ptnsbc_tools.commands.fly.stop import stop
-from ptnsbc_tools.commands.fly.sweep import sweep
-from ptnsbc_tools.commands.fly.view import view
-from ptnsbc_tools.commands.look.compare import compare
-from ptnsbc_tools.commands.look.export import export
-from ptnsbc_tools.commands.look.plot import plot
-from ptnsbc_tools.commands.look.report import report
-from ptnsbc_tools.commands.look.reproduce import SETTINGS as PAPER
-from ptnsbc_tools.commands.look.reproduce import reproduce
-from ptnsbc_tools.commands.look.verify import verify
-from ptnsbc_tools.commands.processes import network, security
-from ptnsbc_tools.commands.processes.autopilot import autopilot
-from ptnsbc_tools.commands.processes.bridge import bridge
-from ptnsbc_tools.commands.processes.key import key
-from ptnsbc_tools.commands.processes.node import SETTINGS, node
-from ptnsbc_tools.commands.processes.params import params
-from ptnsbc_tools.commands.processes.tune import tune
-from ptnsbc_tools.quick_start import help_asked, keep_only, spare_unused
+from ptnsbc_tools.options import flat
 
 _REFUSED, _INTERRUPTED = 2, 130
 _REPLACED = {"--out": "--output", "--jobs": "--workers", "--key": "--signing-key"}
 """Options of earlier versions, and those of today."""
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
 
+PANELS = {
+    "Begin": "new:new new:scenarios check:doctor check:check",
+    "Fly": "simulate:simulate sweep:sweep fleet:fleet flying_fleet:view fleet:demo flying_fleet:inject stop:stop "
+    "flying_fleet:mission",
+    "Look at flights": "look:verify sweep:compare look:report look:plot look:export look:reproduce",
+    "Bags": "bags:record bags:replay bags:bag",
+    "Processes, vehicles, networks": "vehicles:autopilot vehicles:bridge vehicles:tune processes:params processes:key "
+    "processes:node processes:network security:security",
+}
+"""The panels of the help: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
+
+_PLACES = {
+    place.rpartition(":")[2]: (panel, place)
+    for panel, places in PANELS.items()
+    for place in places.split()
+}
+_SETTINGS: dict[str, dict[str, Any]] = {
+    # All words after the name of a process are its own, --help too.
+    "node": {
+        "ignore_unknown_options": True,
+        "allow_extra_args": True,
+        "allow_interspersed_args": False,
+    },
+    "reproduce": {
+        "ignore_unknown_options": True,
+        "allow_extra_args": True,
+        "help_option_names": [],
+    },
+}
+
+
+def _load(name: str) -> Any:
+    """The function of a command, or the Typer of a group of commands."""
+    module, _, attribute = _PLACES[name][1].partition(":")
+    return getattr(import_module(f"ptnsbc_tools.commands.{module}"), attribute)
+
+
+def _made(name: str) -> Any:
+    """A command for Typer."""
+    loaded = _load(name)
+    if not isinstance(loaded, typer.Typer):
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(help=_help(loaded), context_settings=_SETTINGS.get(name))(flat(loaded))
+        loaded = alone
+    made = get_command(loaded)
+    made.name = name
+    return made
+
+
+def _help(loaded: Any) -> str:
+    """The help of a group, or the docstring of a function, each paragraph in one line: the terminal wraps it."""
+    text = loaded.info.help if isinstance(loaded, typer.Typer) else loaded.__doc__
+    paragraphs = inspect.cleandoc(text or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Every command, those of groups by both names, and its function with all its options."""
+    for name in _PLACES:
+        loaded = _load(name)
+        if not isinstance(loaded, typer.Typer):
+            yield name, flat(loaded)
+            continue
+        for inner in loaded.registered_commands:
+            if inner.callback is not None and not inner.hidden:
+                own = inner.name or inner.callback.__name__
+                yield f"{name} {own}", inner.callback
+
+
+def every_command() -> Any:
+    """The group of all commands, each of them loaded."""
+    group = get_command(app)
+    for name in _PLACES:
+        group.get_command(None, name)  # type: ignore[attr-defined]
+    return group
+
 
 class _Commands(TyperGroup):
-    """Prints our errors as one line on stderr, and an interrupt without a traceback."""
+    """Loads the module of a command with its first use, and prints our errors as one line on stderr."""
 
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
-    ) -> Any:
-        if not args or {"-h", "--help"} & set(args):
-            spare_unused()
-        asked = help_asked(self, info_name, args)
-        if asked is None:
-            return super().make_context(info_name, args, parent, **extra)
-        print(asked.command.get_help(asked), end="")
-        raise typer.Exit
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(_PLACES)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in self.commands and cmd_name in _PLACES:
+            self.commands[cmd_name] = _made(cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        for panel, places in PANELS.items():
+            names = [place.rpartition(":")[2] for place in places.split()]
+            with formatter.section(panel):
+                formatter.write_dl(
+                    [(name, _help(_load(name)).partition("\n")[0]) for name in names]
+                )
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] not in _PLACES:  # Typer suggests the nearest of those that are loaded
+            for name in _PLACES:
+                self.get_command(ctx, name)
+        resolved = super().resolve_command(ctx, args)
+        if resolved[0] not in _STARTS_PROCESSES:  # those have handlers of their own all the time
+            restore_handlers()
+        return resolved
 
     def invoke(self, ctx: Any) -> Any:
         code = 0
@@ -72,38 +136,41 @@ class _Commands(TyperGroup):
         except typer.Exit as end:
             code = end.exit_code
             raise
-        except PtnsbcError as error:
-            line = " ".join(str(error).split())
-            console.say(f"error: {line}")
-            code = _REFUSED
-            raise typer.Exit(_REFUSED) from None
-        except Exception as error:
-            option = getattr(error, "option_name", "")  # of Click's NoSuchOption
-            if option not in _REPLACED:
-                raise
-            console.say(f"error: {option}: no such option: expected {_REPLACED[option]}")
-            code = _REFUSED
-            raise typer.Exit(_REFUSED) from None
         except KeyboardInterrupt:
             keep_exit_code(_INTERRUPTED)  # a second signal is no error
             print("interrupted", file=sys.stderr)
             code = _INTERRUPTED
             raise typer.Exit(_INTERRUPTED) from None
+        except Exception as error:
+            line = _one_line(error)
+            if line is None:
+                raise
+            console.say(f"error: {line}")
+            code = _REFUSED
+            raise typer.Exit(_REFUSED) from None
         finally:
             keep_exit_code(code)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        found = super().resolve_command(ctx, args)
-        if found[0] not in _STARTS_PROCESSES:  # those have handlers of their own all the time
-            restore_handlers()
-        return found
+
+def _one_line(error: Exception) -> str | None:
+    """The line that tells an error of ours, or an option that has another name now; None for any other error."""
+    if isinstance(error, PtnsbcError):
+        return " ".join(str(error).split())
+    name = getattr(error, "option_name", "")  # of Click's NoSuchOption
+    return f"{name}: no such option: expected {_REPLACED[name]}" if name in _REPLACED else None
 
 
 app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,  # Rich and what it formats help with are half of the start-up
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 200,
+        # Typer's own default is no bool, and Typer loads Pydantic to make it one.
+        "default_map": {"install_completion": False, "show_completion": False, "help": False},
+    },
     help="Predefined-time formations of UAVs: check, fly, record and judge.",
     epilog="Exit codes: 0 deadlines met, 1 a deadline not met, 2 refused, 130 interrupted.",
 )
@@ -127,50 +194,10 @@ def _main(
     pass
 
 
-_PANELS = {
-    "begin": "Begin",
-    "fly": "Fly",
-    "look": "Look at flights",
-    "bags": "Bags",
-    "processes": "Processes, vehicles, networks",
-}
-"""The panel of the help for each folder of `ptnsbc_tools.commands`."""
-
-_COMMANDS: tuple[Callable[..., None], ...] = (
-    *(new, scenarios, doctor, check),
-    *(simulate, sweep, fleet, view, demo, inject, stop),
-    *(verify, compare, report, plot, export),
-    *(record, replay),
-    *(autopilot, bridge, tune, params, key),
-)
-
-
-def _panel(module: str) -> str:
-    return _PANELS[module.split(".")[2]]
-
-
-def _paragraphs(command: Callable[..., None]) -> str:
-    """The docstring of a command, each paragraph in one line: the terminal wraps it, wherever the source does."""
-    text = inspect.cleandoc(command.__doc__ or "")
-    return "\n\n".join(" ".join(one.split()) for one in text.split("\n\n"))
-
-
-for _command in _COMMANDS:
-    _help = _paragraphs(_command)
-    app.command(help=_help, rich_help_panel=_panel(_command.__module__))(_command)
-# All words after the name of a process are its own, --help too.
-app.command(rich_help_panel=_panel(node.__module__), context_settings=SETTINGS)(node)
-app.command(rich_help_panel=_panel(reproduce.__module__), context_settings=PAPER)(reproduce)
-for _group in (mission, bag, network, security):
-    _name = _group.__name__.rsplit(".", 1)[1]
-    app.add_typer(_group.app, name=_name, rich_help_panel=_panel(_group.__name__))
-
-
 def main() -> None:
     """Run the command line; `ptnsbc_tools.__main__` is the entry point."""
     exit_on_signal(_INTERRUPTED, "interrupted")
     one_thread(os.environ)
-    keep_only(app, sys.argv[1:])
     app(prog_name="ptnsbc")
 
 

@@ -1,13 +1,16 @@
-"""Options that several commands share, and the scenario and the read options that they make."""
+"""Arguments and options that several commands share, and groups of options with what they make."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
+from typer.core import TyperGroup
 
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S
@@ -15,6 +18,78 @@ from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.reading.bag_reader import ReadOptions
+
+SWEEPS = Path("out") / "sweeps"  # each sweep has a folder of its name here, unless -o says where
+LAST_DOMAIN = 232  # of the middleware: a fleet that flies may be in any
+HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
+ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
+
+
+def option(
+    words: str, meaning: str, least: float | None = None, most: float | None = None, **more: Any
+) -> Any:
+    """An option as its help shows it: its names, then the word for its value, as in `--output -o DIR`."""
+    parts = words.split(" ")
+    names = [part for part in parts if part.startswith("-")]
+    value = " ".join(parts[len(names) :]) or None
+    return typer.Option(*names, metavar=value, help=meaning, min=least, max=most, **more)
+
+
+def argument(word: str, meaning: str, **more: Any) -> Any:
+    """An argument: the word that stands for it, and its meaning."""
+    return typer.Argument(metavar=word, help=meaning, **more)
+
+
+class Group(TyperGroup):
+    """Commands whose list has the first paragraph of the help of each, whole."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of the commands."""
+        rows = [
+            (name, " ".join((command.help or "").partition("\n\n")[0].split()))
+            for name, command in self.commands.items()
+            if not command.hidden
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def group(meaning: str) -> typer.Typer:
+    """Several commands below one name."""
+    return typer.Typer(
+        cls=Group, no_args_is_help=True, add_completion=False, rich_markup_mode=None, help=meaning
+    )
+
+
+def flat(command: Callable[..., None]) -> Callable[..., None]:
+    """A command in which each field of a parameter that is a dataclass is an option of its own."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = hints[name]
+        if not is_dataclass(kind):
+            parameters.append(_keyword(name, kind, parameter.default))
+            continue
+        groups[name] = kind
+        kinds = get_type_hints(kind, include_extras=True)
+        for field in fields(kind):
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            parameters.append(_keyword(field.name, kinds[field.name], default))
+
+    @wraps(command)
+    def run(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(**values)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run
+
+
+def _keyword(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
 
 
 def scenario_names(incomplete: str) -> list[str]:
@@ -24,159 +99,78 @@ def scenario_names(incomplete: str) -> list[str]:
     return [name for name in available() if name.startswith(incomplete)]
 
 
-ScenarioArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENARIO",
-        help="A scenario file, or a name such as paper_5.",
-        autocompletion=scenario_names,
-    ),
-]
-NamespaceOption = Annotated[
-    str,
-    typer.Option(
-        "--namespace",
-        metavar="NAME",
-        help="Of all nodes and topics of the fleet, so that several fleets can share a domain.",
-    ),
-]
-PlantOption = Annotated[
-    Literal["quadrotor", "rigid_body_6dof"] | None, typer.Option("--plant", help="Vehicle model.")
-]
-TaskOption = Annotated[
-    TaskName | None,
-    typer.Option("--task", help="Formation task."),
-]
-ProfileOption = Annotated[
-    Literal["paper", "soft", "reference"] | None,
-    typer.Option("--profile", help="Gain profile of every loop that has no profile of its own."),
-]
-AvoidanceOption = Annotated[
-    Literal["off", "set_based", "switched"] | None,
-    typer.Option("--avoidance", help="How UAVs avoid obstacles and each other."),
-]
-SeedOption = Annotated[
-    int | None,
-    typer.Option(
-        "--seed", metavar="N", min=0, help="Seed of all random disturbances: noise, gusts, losses."
-    ),
-]
-DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="S", help="Length of the flight.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Any other key of the scenario, dotted, e.g. sensor.range_m=5. Repeatable.",
-    ),
-]
-
-
 def full_namespace(given: str) -> str:
     """A namespace as ROS names it: `/blue` for `blue` and `/blue/`."""
     return given and f"/{given.strip('/')}"
 
 
-BagOption = Annotated[
-    Path | None, typer.Option("--bag", metavar="DIR", help="Record into this folder.")
+ScenarioArgument = Annotated[
+    str,
+    argument(
+        "SCENARIO",
+        "A scenario file, or a name such as paper_5.",
+        autocompletion=scenario_names,
+    ),
 ]
-AllowArmingOption = Annotated[
-    bool, typer.Option("--allow-arming", help="Arm real vehicles and take off.")
+SetOption = Annotated[
+    list[str] | None,
+    option(
+        "--set KEY=VALUE",
+        "Any other key of the scenario, dotted, e.g. sensor.range_m=5. Repeatable.",
+    ),
 ]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing bag.")]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
+DurationOption = Annotated[float | None, option("--duration S", "Length of the flight.")]
+BagArgument = Annotated[Path, argument("BAG", "Folder of a bag, or its .mcap file.")]
+BagOption = Annotated[Path | None, option("--bag DIR", "Record into this folder.")]
+PictureOption = Annotated[
+    Path | None, option("--picture FILE", "Draw the flight as a PNG, SVG or PDF.")
 ]
-PlainOption = Annotated[
-    bool, typer.Option("--plain", help="Lines instead of the table that redraws itself.")
-]
+OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing bag.")]
+JsonOption = Annotated[bool, option("--json", "Print one JSON object on stdout and nothing else.")]
+PlainOption = Annotated[bool, option("--plain", "Lines instead of the table that redraws itself.")]
+AllowArmingOption = Annotated[bool, option("--allow-arming", "Arm real vehicles and take off.")]
 FoxgloveOption = Annotated[
     int | None,
-    typer.Option(
-        "--foxglove",
-        metavar="PORT",
-        min=1,
-        max=65535,
-        help="Serve the live view to Foxglove on this port of this host, e.g. 8765 with the extra `foxglove`.",
+    option(
+        "--foxglove PORT",
+        "Serve the live view to Foxglove on this port of this host, e.g. 8765 with the extra `foxglove`.",
+        1,
+        65535,
     ),
 ]
-BagArgument = Annotated[
-    Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
-]
-FlownOption = Annotated[
-    Path | None,
-    typer.Option("--scenario", metavar="FILE", help="Use this file and not the attached scenario."),
-]
-ToleranceOption = Annotated[
-    float | None,
-    typer.Option(
-        "--tolerance",
-        metavar="M",
-        min=1e-6,
-        help="Limit of the formation error at the deadline. Default: that of the scenario.",
-    ),
-]
-WindowOption = Annotated[
-    float | None,
-    typer.Option(
-        "--window",
-        metavar="S",
-        min=SHORTEST_WINDOW_S,
-        max=LONGEST_S,
-        help="Judge only the first S seconds of each leg.",
-    ),
-]
-OdomOption = Annotated[
-    str, typer.Option("--odom", metavar="TOPIC", help="Odometry; {n} is the id of the UAV.")
-]
-WrenchOption = Annotated[
-    str, typer.Option("--wrench", metavar="TOPIC", help="WrenchStamped, where it is recorded.")
-]
-EpochOption = Annotated[
-    float | None,
-    typer.Option(
-        "--epoch",
-        metavar="S",
-        min=0.0,
-        max=LONGEST_S,
-        help="Epoch in seconds after the start, for a bag that has none.",
-    ),
-]
-SWEEPS = Path("out") / "sweeps"  # each sweep has a folder of its name here, unless -o says where
-LAST_DOMAIN = 232  # of the middleware: a fleet that flies may be in any
-HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
 NetworkOption = Annotated[
     Path | None,
-    typer.Option(
-        "--network",
-        metavar="PROFILE",
-        help="Fly with other computers: a file that `ptnsbc network` wrote. Default: PTNSBC_NETWORK.",
+    option(
+        "--network PROFILE",
+        "Fly with other computers: a file that `ptnsbc network` wrote. Default: PTNSBC_NETWORK.",
+    ),
+]
+NamespaceOption = Annotated[
+    str,
+    option(
+        "--namespace NAME",
+        "Of all nodes and topics of the fleet, so that several fleets can share a domain.",
+        callback=full_namespace,
     ),
 ]
 DomainOption = Annotated[
     int | None,
-    typer.Option(
-        "--domain",
-        metavar="N",
-        min=0,
-        max=HIGHEST_DOMAIN,
-        help="ROS domain, the same on all computers of a fleet. Default: ROS_DOMAIN_ID.",
+    option(
+        "--domain N",
+        "ROS domain, the same on all computers of a fleet. Default: ROS_DOMAIN_ID.",
+        0,
+        HIGHEST_DOMAIN,
     ),
 ]
 FlyingDomainOption = Annotated[
     int | None,
-    typer.Option(
-        "--domain",
-        metavar="N",
-        min=0,
-        max=LAST_DOMAIN,
-        help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
+    option(
+        "--domain N",
+        "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
+        0,
+        LAST_DOMAIN,
     ),
 ]
-ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
-
 
 _KEYS = {
     "plant": "plant.kind",
@@ -189,53 +183,132 @@ _KEYS = {
 """Options that set a key of the scenario file."""
 
 
-MissionOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--mission",
-        metavar="FILE",
-        help="Fly these legs: a YAML file with what stands below `mission` in a scenario.",
-    ),
-]
-ParamsFileOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--params-file",
-        metavar="FILE",
-        help="Values from a ROS parameter file, as `ptnsbc params` and `ros2 param dump` write one; other options win.",
-    ),
-]
+@dataclass(frozen=True)
+class Choices:
+    """Keys of a scenario that have options of their own, and `--set` for all others."""
+
+    plant: Annotated[
+        Literal["quadrotor", "rigid_body_6dof"] | None, option("--plant", "Vehicle model.")
+    ] = None
+    task: Annotated[TaskName | None, option("--task", "Formation task.")] = None
+    profile: Annotated[
+        Literal["paper", "soft", "reference"] | None,
+        option("--profile", "Gain profile of every loop that has no profile of its own."),
+    ] = None
+    avoidance: Annotated[
+        Literal["off", "set_based", "switched"] | None,
+        option("--avoidance", "How UAVs avoid obstacles and each other."),
+    ] = None
+    settings: SetOption = None
+
+    def keys(self) -> dict[str, Any]:
+        """Dotted keys of the scenario file and their values."""
+        given = {_KEYS[name]: value for name, value in vars(self).items() if name in _KEYS}
+        given["mission"] = _legs_in(getattr(self, "mission", None))
+        given |= set_keys(self.settings)
+        return {key: value for key, value in given.items() if value is not None}
 
 
-def overrides(**options: Any) -> dict[str, Any]:
-    """Dotted keys of the scenario file from options by the name of their variable; ignores other options."""
-    given = {key: options.get(name) for name, key in _KEYS.items()}
-    if options.get("mission") is not None:
-        given["mission"] = _mission(options["mission"])
-    given |= dict(_setting(text) for text in options.get("settings") or ())
-    return {key: value for key, value in given.items() if value is not None}
+@dataclass(frozen=True)
+class FlightChoices(Choices):
+    """The same of one flight: its random numbers, its length and its legs too."""
+
+    seed: Annotated[
+        int | None,
+        option("--seed N", "Seed of all random disturbances: noise, gusts, losses.", 0),
+    ] = None
+    duration: DurationOption = None
+    mission: Annotated[
+        Path | None,
+        option(
+            "--mission FILE",
+            "Fly these legs: a YAML file with what stands below `mission` in a scenario.",
+        ),
+    ] = None
+
+    def of(self, scenario: str, params_file: Path | None = None) -> Scenario:
+        """The scenario of this name or file with these choices."""
+        from ptnsbc_sim.scenario import ScenarioError
+
+        try:
+            if params_file is not None:
+                return _with_parameters(scenario, params_file, self.keys())
+            return scenario_with(scenario, self.keys())
+        except ScenarioError as error:
+            # Errors of legs name the file that they are in, not the scenario that flies them.
+            _, in_legs, rest = str(error).partition(": mission.")
+            if self.mission is None or not in_legs:
+                raise
+            raise ScenarioError(f"{self.mission}: mission.{rest}") from None
 
 
-def chosen(context: typer.Context) -> Scenario:
-    """The scenario that the arguments and options of a command make."""
-    name, given = context.params["scenario"], overrides(**context.params)
-    file = context.params.get("params_file")
-    with _named(context.params.get("mission")):
-        return scenario_with(name, given) if file is None else _with_parameters(name, file, given)
+@dataclass(frozen=True)
+class Reading:
+    """How a bag is read and judged."""
+
+    scenario: Annotated[
+        Path | None,
+        option("--scenario FILE", "Use this file and not the attached scenario."),
+    ] = None
+    tolerance: Annotated[
+        float | None,
+        option(
+            "--tolerance M",
+            "Limit of the formation error at the deadline. Default: that of the scenario.",
+            1e-6,
+        ),
+    ] = None
+    window: Annotated[
+        float | None,
+        option(
+            "--window S",
+            "Judge only the first S seconds of each leg.",
+            SHORTEST_WINDOW_S,
+            LONGEST_S,
+        ),
+    ] = None
+    odom: Annotated[str, option("--odom TOPIC", "Odometry; {n} is the id of the UAV.")] = ODOM
+    wrench: Annotated[str, option("--wrench TOPIC", "WrenchStamped, where it is recorded.")] = (
+        WRENCH
+    )
+    epoch: Annotated[
+        float | None,
+        option(
+            "--epoch S",
+            "Epoch in seconds after the start, for a bag that has none.",
+            0.0,
+            LONGEST_S,
+        ),
+    ] = None
+
+    def options(self) -> ReadOptions:
+        """The same for the reader of bags."""
+        from ptnsbc_tools.reading.bag_reader import ReadOptions
+        from ptnsbc_tools.reading.bag_sources import TopicNames
+
+        names = TopicNames(odom=self.odom, wrench=self.wrench)
+        return ReadOptions(self.scenario, self.tolerance, self.window, self.epoch, names)
 
 
-@contextmanager
-def _named(mission: Path | None) -> Iterator[None]:
-    """Errors of legs name the file that they are in, not the scenario that flies them."""
-    from ptnsbc_sim.scenario import ScenarioError
+def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
+    """A scenario with some of its keys replaced."""
+    from ptnsbc_sim.scenario import load_scenario  # loads numba, which `--help` does not need
 
-    try:
-        yield
-    except ScenarioError as error:
-        _, found, rest = str(error).partition(": mission.")
-        if mission is None or not found:
-            raise
-        raise ScenarioError(f"{mission}: mission.{rest}") from None
+    return load_scenario(name, given)
+
+
+def set_keys(settings: list[str] | None) -> dict[str, Any]:
+    """The dotted keys of `--set KEY=VALUE`; values are read like the file, so that "5 s" means the same."""
+    from ptnsbc_sim.scenario.reading.reader import parse
+
+    given = {}
+    for text in settings or ():
+        key, found, value = text.partition("=")
+        key = key.strip()
+        if not found or not key:
+            raise typer.BadParameter(f'--set "{text}": expected KEY=VALUE')
+        given[key] = parse(f"value: {value}", f"--set {key}")["value"]
+    return given
 
 
 def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
@@ -256,8 +329,10 @@ def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
     return scenario.with_(parameters.values).with_(given)
 
 
-def _mission(path: Path) -> Any:
+def _legs_in(path: Path | None) -> Any:
     """The mission of a file: the whole of it, or what stands below `mission`."""
+    if path is None:
+        return None
     from ptnsbc_sim.scenario import ScenarioError
     from ptnsbc_sim.scenario.reading.reader import parse, read_text
 
@@ -268,36 +343,3 @@ def _mission(path: Path) -> Any:
             f"{path}: no legs: expected the key legs, or mission with legs below it"
         )
     return found
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    from ptnsbc_sim.scenario.reading.reader import parse
-
-    key, found, value = text.partition("=")
-    if not found or not key.strip():
-        raise typer.BadParameter(f'--set "{text}": expected KEY=VALUE')
-    # Read like the file, so that numbers, lists and "5 s" mean the same.
-    return key.strip(), parse(f"value: {value}", f"--set {key.strip()}")["value"]
-
-
-def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
-    """A scenario with some of its keys replaced."""
-    # Imported here: it loads numba, which `--help` does not need.
-    from ptnsbc_sim.scenario import load_scenario
-
-    return load_scenario(name, given)
-
-
-def read_options(context: typer.Context) -> ReadOptions:
-    """The options with which a bag is read and judged, from the options of a command."""
-    from ptnsbc_tools.reading.bag_reader import ReadOptions
-    from ptnsbc_tools.reading.bag_sources import TopicNames
-
-    given = context.params
-    return ReadOptions(
-        scenario=given["scenario"],
-        tolerance=given["tolerance"],
-        window_s=given["window"],
-        epoch_s=given["epoch"],
-        names=TopicNames(odom=given["odom"], wrench=given["wrench"]),
-    )

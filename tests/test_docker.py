@@ -78,10 +78,10 @@ def test_every_container_is_healthy_by_what_its_own_process_reports(compose, mon
     from typer.testing import CliRunner
 
     from ptnsbc_tools.cli import app
-    from ptnsbc_tools.commands.fly import view
+    from ptnsbc_tools.commands import flying_fleet
 
     asked = []
-    monkeypatch.setattr(view, "_health", lambda *about: asked.append(about) or 0)
+    monkeypatch.setattr(flying_fleet, "_health", lambda *about: asked.append(about) or 0)
     for name, service in compose["services"].items():
         run, entrypoint, *words = service["healthcheck"]["test"]
         assert (run, entrypoint, words[0]) == ("CMD", "entrypoint.sh", "ptnsbc")

@@ -87,13 +87,11 @@ def test_hidden_markers_send_nothing(broken: tuple[float, ...] | None) -> None:
 
 
 def test_the_unit_starts_what_the_program_has() -> None:
-    from typer.main import get_command
-
-    from ptnsbc_tools.cli import app
+    from ptnsbc_tools.cli import every_command
 
     text = (HARDWARE / "systemd" / "ptnsbc-uav@.service").read_text("utf-8")
     (line,) = [one for one in text.splitlines() if one.startswith("ExecStart=")]
-    fleet = get_command(app).commands["fleet"]  # type: ignore[attr-defined]
+    fleet = every_command().commands["fleet"]
     known = {name for option in fleet.params for name in option.opts}
     assert set(re.findall(r" (--[a-z-]+)", line)) <= known
     variables = set(re.findall(r"\$\{?([A-Z_]+)", line))

@@ -22,7 +22,7 @@ from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 from ptnsbc_nodes.uav import main as uav_main
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.commands.fly import fleet as fleet_command
+from ptnsbc_tools.commands import fleet as fleet_command
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"
@@ -158,8 +158,8 @@ def flown(monkeypatch):
     """What `ptnsbc fleet` understands of its words, without flying."""
     calls = []
 
-    def fly(scenario, json, **given):
-        calls.append((scenario, given))
+    def fly(scenario, parts, *, json, check, views):
+        calls.append((scenario, {**vars(parts), "check": check}, views))
         return 0
 
     monkeypatch.setattr(fleet_command, "fly_and_judge", fly)
@@ -167,8 +167,8 @@ def flown(monkeypatch):
     def ask(words):
         result = CliRunner().invoke(app, words)
         assert result.exit_code == 0, result.output
-        scenario, given = calls[-1]
-        assert given.pop("shown") == fleet_command.Shown()
+        scenario, given, views = calls[-1]
+        assert views == fleet_command.Views()
         return scenario, given
 
     return ask

@@ -54,7 +54,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/bridge/test_fleet_comings.py": "a fleet of bridges in which UAVs come and go",
     "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
-    "tests/nodes/comm/test_serialize.py": "ptnsbc_io/wire/serialize.py, with the message classes of ROS",
+    "tests/nodes/comm/test_serialize.py": "ptnsbc_io/wire/cdr.py, with the message classes of ROS",
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
     "tests/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
     "tests/sim/sweep/test_dask.py": "a sweep on a dask cluster",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
 from docs.make.markdown import RegionError, remade
+from ptnsbc_io.files import replacing
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import schema as scenario_schema
 from ptnsbc_sim.sweep import family_schema
@@ -56,9 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path, text in stale.items():
         print(f"{path}: {'stale: make docs' if check else 'made anew'}")
         if not check:
-            beside = path.with_name(f".{path.name}.part")
-            beside.write_text(text, encoding="utf-8")
-            os.replace(beside, path)
+            with replacing(path) as part:
+                part.write_text(text, encoding="utf-8")
     return int(check and bool(stale))
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from types import NoneType
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from typer import Context, Typer
+from typer import Context
 from typer.models import ArgumentInfo
 
 from docs.make.markdown import table
 from paper.command import app as paper
-from ptnsbc_tools.cli import app
+from ptnsbc_tools.cli import functions
 
 _HEADINGS = ("Option", "Value", "Default", "Meaning")
 
@@ -44,21 +44,9 @@ class Parameter(NamedTuple):
 
 def regions() -> dict[str, str]:
     """Every made region of the page, one for each command."""
-    found = dict(commands(app))
-    (found["reproduce"],) = (law for _, law in commands(paper))  # its words go there
+    found = dict(functions())
+    found["reproduce"] = paper.registered_commands[0].callback  # its words go there
     return {path.replace(" ", "-"): _told(path, law) for path, law in found.items()}
-
-
-def commands(of: Typer, before: str = "") -> Iterator[tuple[str, Callable[..., Any]]]:
-    """The name of every command and the function behind it."""
-    for one in of.registered_commands:
-        if one.hidden:
-            continue
-        assert one.callback is not None
-        yield f"{before}{one.name or one.callback.__name__.replace('_', '-')}", one.callback
-    for group in of.registered_groups:
-        assert group.typer_instance is not None
-        yield from commands(group.typer_instance, f"{before}{group.name} ")
 
 
 def _parameters(command: Callable[..., Any]) -> Iterator[Parameter]:

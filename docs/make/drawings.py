@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from matplotlib.patches import Circle
 import ptnsbc
 from ptnsbc_core.nullspace import compose, null_space_projector
 from ptnsbc_core.timebase import h
+from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
 
@@ -147,9 +147,8 @@ def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     for draw in (time_base, null_space, slots, verdict):
         path = OUT / f"{draw.__name__}.svg"
-        beside = path.with_name(f".{path.name}")
-        draw().savefig(beside, format="svg", metadata={"Date": None})
-        os.replace(beside, path)
+        with replacing(path) as part:
+            draw().savefig(part, format="svg", metadata={"Date": None})
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size} bytes")
 
 

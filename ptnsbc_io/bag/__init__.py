@@ -1,9 +1,8 @@
 """Bags: rosbag2 folders with MCAP files, written and read without ROS."""
 
-from ptnsbc_io.bag.errors import BagError
-from ptnsbc_io.bag.metadata import TopicInfo
+from ptnsbc_io.bag.mcap_file import BagMessage
+from ptnsbc_io.bag.metadata import BagError, TopicInfo
 from ptnsbc_io.bag.reader import Bag, BagTopic, read_bag
-from ptnsbc_io.bag.records import BagMessage
 from ptnsbc_io.bag.writer import BagWriter, SplitLimits
 
 __all__ = [

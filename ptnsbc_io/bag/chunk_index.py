@@ -15,7 +15,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import Writer
 
-from ptnsbc_io.bag.records import RECORD_HEAD
+from ptnsbc_io.bag.mcap_file import RECORD_HEAD
 
 
 class ChunkIndexFile:

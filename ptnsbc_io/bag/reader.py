@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_io.bag import mcap_file
-from ptnsbc_io.bag.errors import BagError, DamagedError
-from ptnsbc_io.bag.mcap_file import Contents
-from ptnsbc_io.bag.metadata import METADATA_FILE, METADATA_RECORD, read_metadata
-from ptnsbc_io.bag.records import BagMessage
+from ptnsbc_io.bag.mcap_file import BagMessage, Contents
+from ptnsbc_io.bag.metadata import (
+    METADATA_FILE,
+    METADATA_RECORD,
+    BagError,
+    DamagedError,
+    read_metadata,
+)
 
 _FILE_NUMBER = re.compile(r"_(\d+)\.mcap$")
 

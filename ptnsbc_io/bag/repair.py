@@ -1,31 +1,27 @@
-"""Repairs a bag that lacks its end, its index or its metadata.yaml, from what is readable.
+"""Bags made of bags: repaired, from all that is readable, or a span.
 
-The repaired bag is written beside its name and renamed at the end. The damaged bag is kept unless the
-caller asks to discard it.
+The new bag is written beside its name and renamed at the end. A damaged bag is kept unless it is to be discarded.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Channel, Schema
-
 from ptnsbc_io.bag import mcap_file
-from ptnsbc_io.bag.errors import BagError, DamagedError
-from ptnsbc_io.bag.mcap_file import Contents
-from ptnsbc_io.bag.metadata import TopicDeclaration, plain_yaml
-from ptnsbc_io.bag.reader import mcap_files
-from ptnsbc_io.bag.records import Damage, MessageRecord, walk
+from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage, MessageRecord, walk
+from ptnsbc_io.bag.metadata import BagError, DamagedError, TopicDeclaration, plain_yaml
+from ptnsbc_io.bag.reader import mcap_files, read_bag
 from ptnsbc_io.bag.writer import BagWriter
 
 _PART = ".part"
 _ORIGINAL = ".original"
 _REPAIRING = ".repairing"
 _PROGRESS_EVERY = 5000  # messages
+_LATCHED = ("transient_local", "durability: 1\n")  # as rosbag2 writes it, by name or by number
 
 Progress = Callable[[int, int], None]
 
@@ -143,15 +139,11 @@ def _read_contents(file: Path) -> Contents:
 
 
 def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWriter:
-    topics: dict[str, TopicDeclaration] = {}
+    topics = _topics(found)
     records: dict[str, Mapping[str, str]] = {}
     for contents in found:
         records |= contents.metadata
-        for channel in contents.channels.values():
-            schema = contents.schemas.get(channel.schema_id)
-            if schema is not None:
-                topics.setdefault(channel.topic, declaration_of(channel, schema))
-    foreign = {topic.message_encoding for topic in topics.values()} - {"cdr"}
+    foreign = {topic.message_encoding for topic in topics} - {"cdr"}
     if foreign:
         raise BagError(
             f"{files[0]}: messages in {', '.join(sorted(foreign))}: expected cdr (ROS 2)"
@@ -160,24 +152,31 @@ def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWrite
     attachments = {
         record.name: bytes(record.data) for file in files for record in mcap_file.attachments(file)
     }
-    writer = BagWriter(paths.temporary, list(topics.values()), attachments=attachments)
+    writer = BagWriter(paths.temporary, topics, attachments=attachments)
     writer.name = paths.target.name
     writer.records.update(records)
     return writer
 
 
-def declaration_of(channel: Channel, schema: Schema) -> TopicDeclaration:
-    """A topic as a file declares it, for a writer."""
-    return TopicDeclaration(
-        channel.topic,
-        schema.name,
-        schema.data,
-        schema.encoding,
-        channel.message_encoding,
-        channel.metadata.get("topic_type_hash", ""),
-        _qos(channel.metadata.get("offered_qos_profiles", "")),
-        dict(channel.metadata),
-    )
+def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
+    """The topics of the files of a bag as the first of them declares each, for a writer."""
+    found: dict[str, TopicDeclaration] = {}
+    for contents in files:
+        for channel in contents.channels.values():
+            schema = contents.schemas.get(channel.schema_id)
+            if schema is None or channel.topic in found:
+                continue
+            found[channel.topic] = TopicDeclaration(
+                channel.topic,
+                schema.name,
+                schema.data,
+                schema.encoding,
+                channel.message_encoding,
+                channel.metadata.get("topic_type_hash", ""),
+                _qos(channel.metadata.get("offered_qos_profiles", "")),
+                dict(channel.metadata),
+            )
+    return list(found.values())
 
 
 def _qos(text: str) -> list[dict[str, Any]]:
@@ -217,3 +216,58 @@ def _copy(
                     log_ns = record.log_ns
                     writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
                     yield log_ns
+
+
+def trim(
+    path: Path,
+    target: Path,
+    begin_ns: int,
+    end_ns: int,
+    *,
+    overwrite: bool = False,
+    advance: Progress = lambda done, total: None,
+) -> int:
+    """Write the messages from `begin_ns` to `end_ns` (log time, both included) into a new bag.
+
+    Messages of latched topics from before `begin_ns`, such as epochs, are kept with their times: they hold on.
+
+    Returns:
+        The number of messages written.
+
+    Raises:
+        BagError: no bag, or no message in this span.
+    """
+    bag = read_bag(path)
+    latched = {
+        name
+        for name, topic in bag.topics.items()
+        if any(word in f"{topic.offered_qos}\n" for word in _LATCHED)
+    }
+
+    def kept() -> Iterator[BagMessage]:
+        for message in bag.messages():
+            within = begin_ns <= message.stamp_ns <= end_ns
+            if within or (message.topic in latched and message.stamp_ns < begin_ns):
+                yield message
+
+    if not any(begin_ns <= message.stamp_ns <= end_ns for message in bag.messages()):
+        begin, end, last = ((t - bag.start_ns) * 1e-9 for t in (begin_ns, end_ns, bag.end_ns))
+        raise BagError(
+            f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
+            f"expected times from 0 s to {last:g} s"
+        )
+    writer = BagWriter(
+        target,
+        _topics([contents for _, contents in bag.files]),
+        attachments={name: bag.attachment(name) for name in bag.attachments},
+        metadata=bag.metadata,
+        overwrite=overwrite,
+    )
+    total = sum(topic.messages for topic in bag.topics.values())
+    done = 0
+    with writer:
+        for done, message in enumerate(kept(), start=1):
+            writer.write(message.topic, message.stamp_ns, message.data)
+            if done % _PROGRESS_EVERY == 0:
+                advance(done, total)
+    return done

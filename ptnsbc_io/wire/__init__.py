@@ -1,61 +1,42 @@
 """Messages to bytes and back without rclpy: what `raw=True` publishers and subscriptions carry."""
 
-from ptnsbc_io.wire.arrays import Row, RowTemplate, decode_floats, decode_integers
 from ptnsbc_io.wire.cdr import Stamped, WireError
-from ptnsbc_io.wire.checks import (
+from ptnsbc_io.wire.messages import (
+    MOST_NEAR_OBJECTS,
+    ODOMETRY_SIZE,
+    ClockTemplate,
+    Diagnostics,
+    DiagnosticStatus,
+    HeaderFields,
+    HeaderTemplate,
     OdometryDecoder,
+    OdometryTemplate,
+    Row,
+    RowTemplate,
+    VelocityTemplate,
+    WrenchTemplate,
     checked_near,
     checked_velocity,
     checked_wrench,
-)
-from ptnsbc_io.wire.diagnostics import Diagnostics, DiagnosticStatus, decode_diagnostics
-from ptnsbc_io.wire.odometry import ODOMETRY_SIZE, OdometryTemplate, decode_odometry
-from ptnsbc_io.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
-from ptnsbc_io.wire.stamped import (
-    ClockTemplate,
-    HeaderFields,
-    HeaderTemplate,
-    VelocityTemplate,
-    WrenchTemplate,
     decode_clock,
+    decode_diagnostics,
+    decode_floats,
     decode_header,
+    decode_integers,
+    decode_odometry,
     decode_velocity,
     decode_wrench,
     peek_sequence_stamp,
     peek_stamp,
+    transform_of,
 )
-from ptnsbc_io.wire.transform import transform_of
+from ptnsbc_io.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
 
 __all__ = [
-    "WireError",
-    "Stamped",
-    "HeaderFields",
-    "ODOMETRY_SIZE",
-    "NEAR_FIELDS",
-    "OdometryTemplate",
-    "decode_odometry",
-    "VelocityTemplate",
-    "decode_velocity",
-    "WrenchTemplate",
-    "decode_wrench",
-    "HeaderTemplate",
-    "decode_header",
-    "ClockTemplate",
-    "decode_clock",
-    "encode_near",
-    "decode_near",
+    "MOST_NEAR_OBJECTS", "NEAR_FIELDS", "ODOMETRY_SIZE", "ClockTemplate", "DiagnosticStatus", "Diagnostics",
+    "HeaderFields", "HeaderTemplate", "OdometryDecoder", "OdometryTemplate", "Row", "RowTemplate", "Stamped",
+    "VelocityTemplate", "WireError", "WrenchTemplate", "checked_near", "checked_velocity", "checked_wrench",
+    "decode_clock", "decode_diagnostics", "decode_floats", "decode_header", "decode_integers", "decode_near",
+    "decode_odometry", "decode_velocity", "decode_wrench", "encode_near", "peek_sequence_stamp", "peek_stamp",
     "transform_of",
-    "Row",
-    "RowTemplate",
-    "decode_integers",
-    "decode_floats",
-    "peek_stamp",
-    "peek_sequence_stamp",
-    "DiagnosticStatus",
-    "Diagnostics",
-    "decode_diagnostics",
-    "OdometryDecoder",
-    "checked_near",
-    "checked_velocity",
-    "checked_wrench",
-]
+]  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
-from ptnsbc_io.key_file import read_key
+from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import connect

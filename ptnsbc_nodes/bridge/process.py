@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.key_file import read_key
+from ptnsbc_io.files import read_key
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode

@@ -15,8 +15,7 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ptnsbc_io.wire.cdr import split_stamp
-from ptnsbc_io.wire.serialize import encode
+from ptnsbc_io.wire.cdr import encode, split_stamp
 from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5

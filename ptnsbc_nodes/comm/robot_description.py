@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from std_msgs.msg import String
 
-from ptnsbc_io.wire.serialize import encode
+from ptnsbc_io.wire.cdr import encode
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_sim.scenario import Scenario

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.key_file import KEY_BYTES, read_key
+from ptnsbc_io.files import KEY_BYTES, read_key
 from ptnsbc_nodes.comm.topics import CLOCK, EPOCH, Role, Topic
 from ptnsbc_sim.scenario import Scenario
 

@@ -15,8 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from ptnsbc_core.types import AgentConfig
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import WireError
-from ptnsbc_io.wire.cdr import split_stamp
-from ptnsbc_io.wire.serialize import encode
+from ptnsbc_io.wire.cdr import encode, split_stamp
 
 _HIGHEST_M = 1e5
 

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.files import replacing
 
 APART, LAND, KILL = "apart", "land", "kill"
 _RANKS = {"": 0, APART: 1, LAND: 2, KILL: 3}
@@ -138,10 +139,9 @@ def fleet_bridges(folder: Path) -> list[str]:
 
 
 def write_json(path: Path, value: dict[str, object]) -> None:
-    """Write beside and rename: a reader never sees half a file."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    beside.write_text(json.dumps(value), encoding="utf-8")
-    beside.replace(path)
+    """Write an object into a file; OSError when that fails."""
+    with replacing(path) as part:
+        part.write_text(json.dumps(value), encoding="utf-8")
 
 
 def read_json(path: Path) -> dict[str, object]:

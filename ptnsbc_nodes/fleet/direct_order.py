@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.key_file import read_key
+from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer

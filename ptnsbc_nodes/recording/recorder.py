@@ -17,7 +17,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
-from ptnsbc_io.bag.definitions import has_header
+from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 
 from ptnsbc_core.topology import Topology
-from ptnsbc_io.wire.checks import MOST_NEAR_OBJECTS
+from ptnsbc_io.wire import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario import communication, obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import curves, leg_problems, legs, shapes

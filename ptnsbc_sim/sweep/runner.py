@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.files import replacing
 from ptnsbc_sim.sweep.axes import SweepError
 from ptnsbc_sim.sweep.chunks import (
     chunk_count,
@@ -116,12 +117,14 @@ def run(
         if failure is not None:
             failed.append(failure)
         if outcome.data:
-            write_whole(_chunk(folder, outcome.index), outcome.data)
+            with replacing(_chunk(folder, outcome.index)) as part:
+                part.write_bytes(outcome.data)
             done += len(chunk_draws(plan, outcome.index))
             if progress is not None:
                 progress(done, plan.draws)
     here = (_chunk(folder, index) for index in range(chunk_count(plan)))
-    write_whole(folder / TABLE, join_chunks(plan, (p.read_bytes() for p in here if p.exists())))
+    with replacing(folder / TABLE) as part:
+        part.write_bytes(join_chunks(plan, (p.read_bytes() for p in here if p.exists())))
     return SweepResult(plan, folder, tuple(sorted(failed, key=lambda one: one.index)))
 
 
@@ -144,20 +147,14 @@ def _prepare(plan: SweepPlan, folder: Path) -> None:
     elif folder.exists() and any(folder.iterdir()):
         raise SweepError(f"{folder}: holds other files: expected an empty folder, or a sweep")
     (folder / CHUNKS).mkdir(parents=True, exist_ok=True)
-    write_whole(path, text.encode())
+    with replacing(path) as part:
+        part.write_bytes(text.encode())
 
 
 def flown_by_others(folder: Path, plan: SweepPlan) -> bool:
     """True if a folder holds flights of other laws, the user's too, or library versions."""
     today = made_by(plan)
     return any(made_by_others(chunk, today) for chunk in (folder / CHUNKS).glob("*.parquet"))
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """A file that is there whole or not at all."""
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_bytes(data)
-    os.replace(beside, path)
 
 
 class _Queue:

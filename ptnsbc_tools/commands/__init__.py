@@ -1,1 +1,1 @@
-"""The commands of `ptnsbc`, a folder for each panel of its help; `ptnsbc_tools.cli` registers them."""
+"""The commands of `ptnsbc`: typed functions whose parameters are arguments and options; `cli.COMMANDS` lists them."""

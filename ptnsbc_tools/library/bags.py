@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ptnsbc_io import bag as bags
-from ptnsbc_io.bag import cut
 from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
@@ -54,7 +53,7 @@ def trim(
     if end_s is not None:
         last_ns = found.start_ns + round(end_s * 1e9)
     with console.progress("trimming", progress) as advance:
-        return cut.trim(
+        return repairs.trim(
             Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance
         )
 

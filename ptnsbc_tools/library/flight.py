@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import require_all_uavs
 from ptnsbc_tools.library.optional import required
-from ptnsbc_tools.library.quantities import COORDINATES, QUANTITIES, TIME, UAV
 from ptnsbc_tools.plotting.flight import FlightView, view_of
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
@@ -32,24 +31,62 @@ class FlightError(PtnsbcError):
     """Something that a flight does not have."""
 
 
-@dataclass(frozen=True)
-class Flight:
-    """A flight: its verdict, and its quantities as NumPy arrays.
+TIME, UAV, XYZ, XYZW = "time_s", "uav", "axis", "component"
+"""Names of the axes of the arrays."""
 
-    Every array has the same T instants: the leader's stamps of one formation leg. T is the number of instants, N that
-    of UAVs, in the order of `uavs`. The names of arrays end with their unit. World axes are east, north, up (ENU);
-    body axes are front, left, up (FLU).
-    """
+COORDINATES: dict[str, tuple[str, ...]] = {XYZ: ("x", "y", "z"), XYZW: ("x", "y", "z", "w")}
+"""Labels along the axes that do not depend on the flight."""
+
+
+class Quantity(NamedTuple):
+    """One array of a flight."""
+
+    name: str  # of the property of Flight
+    unit: str
+    axes: tuple[str, ...]
+    meaning: str
+
+
+QUANTITIES: tuple[Quantity, ...] = (
+    Quantity("time_s", "s", (TIME,), "Time after the epoch."),
+    Quantity("position_m", "m", (TIME, UAV, XYZ), "Position, ENU; the true one where it is known."),
+    Quantity("velocity_m_s", "m/s", (TIME, UAV, XYZ), "Velocity as measured, ENU."),
+    Quantity(
+        "quaternion", "", (TIME, UAV, XYZW), "Attitude as measured: body FLU to world ENU, x y z w."
+    ),
+    Quantity("rate_rad_s", "rad/s", (TIME, UAV, XYZ), "Body rate as measured, FLU."),
+    Quantity("force_n", "N", (TIME, UAV, XYZ), "Commanded force, FLU; NaN where none is recorded."),
+    Quantity("torque_n_m", "N m", (TIME, UAV, XYZ), "Commanded torque, FLU; NaN likewise."),
+    Quantity(
+        "leader_estimate_m", "m", (TIME, UAV, XYZ), "A UAV's estimate of the leader; NaN likewise."
+    ),
+    Quantity(
+        "error_m", "m", (TIME, UAV), "Distance from its place; of the leader, from its trajectory."
+    ),
+)
+"""All arrays of a flight, in the order in which tables show them."""
+
+
+def _columns(track: str, first: int, end: int, meaning: str) -> cached_property[Array]:
+    """An array of a flight: columns first … end - 1 of a track of every UAV; NaN where none is recorded."""
+
+    def columns(flight: FlightArrays) -> Array:
+        tracks, grid = getattr(flight.recording, track), flight.grid
+        nothing = np.full((grid.size, end - first), np.nan)
+        parts = [
+            tracks[uav].at(grid)[:, first:end] if uav in tracks else nothing for uav in flight.uavs
+        ]
+        return np.stack(parts, axis=1)
+
+    columns.__doc__ = meaning
+    return cached_property(columns)
+
+
+@dataclass(frozen=True)
+class FlightArrays:
+    """The quantities of a flight as NumPy arrays, at the leader's stamps of one formation leg."""
 
     recording: Recording = field(repr=False)
-    tolerance_m: float | None = field(default=None, repr=False)
-    """Limit of the error at the deadline [m]; None: that of the scenario."""
-    bag: Path | None = None
-    """The file that it was read from or written to."""
-    headless: HeadlessFlight | None = field(default=None, repr=False)
-    """The record of the simulator, of a flight in this process."""
-    status: StatusSeries | None = field(default=None, repr=False)
-    """The published messages of the nodes; None: read from the bag when a figure needs them."""
 
     @property
     def scenario(self) -> Scenario:
@@ -60,6 +97,91 @@ class Flight:
     def uavs(self) -> tuple[int, ...]:
         """Ids of the UAVs, in the order of the arrays."""
         return self.scenario.uav_ids
+
+    @cached_property
+    def grid(self) -> NDArray[np.int64]:
+        """The instants (T,) [ns]."""
+        require_all_uavs(self.recording)
+        return self.recording.grid()
+
+    @cached_property
+    def time_s(self) -> Array:
+        """Time after the epoch (T,) [s]."""
+        return self.recording.times(self.grid)
+
+    @cached_property
+    def position_m(self) -> Array:
+        """Position (T, N, 3) [m], ENU; the true one where it is known."""
+        positions = self.recording.positions(self.grid)
+        return np.stack([positions[uav] for uav in self.uavs], axis=1)
+
+    quaternion = _columns(
+        "odometry", 3, 7, "Attitude as measured (T, N, 4): x y z w, body FLU to world ENU."
+    )
+    rate_rad_s = _columns("odometry", 10, 13, "Body rate as measured (T, N, 3) [rad/s], FLU.")
+    force_n = _columns("wrench", 0, 3, "Commanded force (T, N, 3) [N], FLU; or NaN.")
+    torque_n_m = _columns("wrench", 3, 6, "Commanded torque (T, N, 3) [N m], FLU; or NaN.")
+    leader_estimate_m = _columns(
+        "estimate",
+        0,
+        3,
+        "Every UAV's estimate of the leader's position (T, N, 3) [m], ENU; or NaN.",
+    )
+    _body_velocity = _columns("odometry", 7, 10, "Velocity as measured (T, N, 3) [m/s], FLU.")
+
+    @cached_property
+    def velocity_m_s(self) -> Array:
+        """Velocity as measured (T, N, 3) [m/s], ENU."""
+        vector, scalar = self.quaternion[..., :3], self.quaternion[..., 3:]
+        turn = 2.0 * np.cross(vector, self._body_velocity)
+        return np.asarray(self._body_velocity + scalar * turn + np.cross(vector, turn))
+
+    @cached_property
+    def error_m(self) -> Array:
+        """Formation error (T, N) [m]: distance from its place; of the leader, from its trajectory."""
+        positions = {uav: self.position_m[:, row] for row, uav in enumerate(self.uavs)}
+        errors = formation_errors(self.recording, self.grid, positions)
+        return np.stack([errors[uav] for uav in self.uavs], axis=1)
+
+    def __getitem__(self, name: str) -> Array:
+        """A quantity by its name, as in `flight["error_m"]`."""
+        names = [one.name for one in QUANTITIES]
+        if name not in names:
+            raise FlightError(f"{name}: no quantity of a flight: {similar(name, names)}")
+        values: Array = getattr(self, name)
+        return values
+
+    def columns(self) -> Iterator[tuple[str, str, NDArray[Any]]]:
+        """Name, unit and values (T * N,) of every column of a table: `time_s`, `uav`, `position_m.x`, …"""
+        yield TIME, "s", np.repeat(self.time_s, len(self.uavs))
+        yield UAV, "", np.tile(self.uavs, self.time_s.size)
+        for one in QUANTITIES[1:]:
+            values = self[one.name].reshape(self.time_s.size * len(self.uavs), -1)
+            labels = COORDINATES.get(one.axes[-1])
+            if labels is None:
+                yield one.name, one.unit, values[:, 0]
+            else:
+                for column, label in enumerate(labels):
+                    yield f"{one.name}.{label}", one.unit, values[:, column]
+
+
+@dataclass(frozen=True)
+class Flight(FlightArrays):
+    """A flight: its verdict, and its quantities as NumPy arrays.
+
+    Every array has the same T instants: the leader's stamps of one formation leg. T is the number of instants, N that
+    of UAVs, in the order of `uavs`. The names of arrays end with their unit. World axes are east, north, up (ENU);
+    body axes are front, left, up (FLU).
+    """
+
+    tolerance_m: float | None = field(default=None, repr=False)
+    """Limit of the error at the deadline [m]; None: that of the scenario."""
+    bag: Path | None = None
+    """The file that it was read from or written to."""
+    headless: HeadlessFlight | None = field(default=None, repr=False)
+    """The record of the simulator, of a flight in this process."""
+    status: StatusSeries | None = field(default=None, repr=False)
+    """The published messages of the nodes; None: read from the bag when a figure needs them."""
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -76,79 +198,6 @@ class Flight:
         numbers = range(len(self.recording.forms))
         return tuple(replace(self, recording=replace(self.recording, leg=k)) for k in numbers)
 
-    @cached_property
-    def _grid(self) -> Any:
-        require_all_uavs(self.recording)
-        return self.recording.grid()
-
-    def _columns(self, tracks: Any, first: int, end: int) -> Array:
-        """Columns first … end - 1 (T, N, end - first) of a track of every UAV; NaN without one."""
-        nothing = np.full((self._grid.size, end - first), np.nan)
-        found = [
-            tracks[uav].at(self._grid)[:, first:end] if uav in tracks else nothing
-            for uav in self.uavs
-        ]
-        return np.stack(found, axis=1)
-
-    @cached_property
-    def time_s(self) -> Array:
-        """Time after the epoch (T,) [s]."""
-        return self.recording.times(self._grid)
-
-    @cached_property
-    def position_m(self) -> Array:
-        """Position (T, N, 3) [m], ENU; the true one where it is known."""
-        found = self.recording.positions(self._grid)
-        return np.stack([found[uav] for uav in self.uavs], axis=1)
-
-    @cached_property
-    def quaternion(self) -> Array:
-        """Attitude as measured (T, N, 4): x y z w, body FLU to world ENU."""
-        return self._columns(self.recording.odometry, 3, 7)
-
-    @cached_property
-    def velocity_m_s(self) -> Array:
-        """Velocity as measured (T, N, 3) [m/s], ENU."""
-        body = self._columns(self.recording.odometry, 7, 10)
-        vector, scalar = self.quaternion[..., :3], self.quaternion[..., 3:]
-        turn = 2.0 * np.cross(vector, body)
-        return np.asarray(body + scalar * turn + np.cross(vector, turn))
-
-    @cached_property
-    def rate_rad_s(self) -> Array:
-        """Body rate as measured (T, N, 3) [rad/s], FLU."""
-        return self._columns(self.recording.odometry, 10, 13)
-
-    @cached_property
-    def force_n(self) -> Array:
-        """Commanded force (T, N, 3) [N], FLU; NaN where none is recorded."""
-        return self._columns(self.recording.wrench, 0, 3)
-
-    @cached_property
-    def torque_n_m(self) -> Array:
-        """Commanded torque (T, N, 3) [N m], FLU; NaN where none is recorded."""
-        return self._columns(self.recording.wrench, 3, 6)
-
-    @cached_property
-    def leader_estimate_m(self) -> Array:
-        """Every UAV's estimate of the leader's position (T, N, 3) [m], ENU; NaN where none is recorded."""
-        return self._columns(self.recording.estimate, 0, 3)
-
-    @cached_property
-    def error_m(self) -> Array:
-        """Formation error (T, N) [m]: distance from its place; of the leader, from its trajectory."""
-        positions = {uav: self.position_m[:, row] for row, uav in enumerate(self.uavs)}
-        found = formation_errors(self.recording, self._grid, positions)
-        return np.stack([found[uav] for uav in self.uavs], axis=1)
-
-    def __getitem__(self, name: str) -> Array:
-        """A quantity by its name, as in `flight["error_m"]`."""
-        names = [one.name for one in QUANTITIES]
-        if name not in names:
-            raise FlightError(f"{name}: no quantity of a flight: {similar(name, names)}")
-        found: Array = getattr(self, name)
-        return found
-
     def to_pandas(self) -> Any:
         """One row for each instant and UAV as a pandas DataFrame; `attrs["units"]` has the units.
 
@@ -161,19 +210,6 @@ class Flight:
         units = {name: unit for name, unit, _ in found}
         frame.attrs = {"units": units, "scenario": self.scenario.name}
         return frame
-
-    def columns(self) -> Iterator[tuple[str, str, NDArray[Any]]]:
-        """Name, unit and values (T * N,) of every column of a table: `time_s`, `uav`, `position_m.x`, …"""
-        yield TIME, "s", np.repeat(self.time_s, len(self.uavs))
-        yield UAV, "", np.tile(self.uavs, self.time_s.size)
-        for one in QUANTITIES[1:]:
-            values = self[one.name].reshape(self.time_s.size * len(self.uavs), -1)
-            labels = COORDINATES.get(one.axes[-1])
-            if labels is None:
-                yield one.name, one.unit, values[:, 0]
-            else:
-                for column, label in enumerate(labels):
-                    yield f"{one.name}.{label}", one.unit, values[:, column]
 
     def to_xarray(self) -> Any:
         """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes.
@@ -195,14 +231,12 @@ class Flight:
     @cached_property
     def view(self) -> FlightView:
         """The flight as the figures of `ptnsbc plot` and `ptnsbc report` show it."""
-        return view_of(self.recording, self._status(), self.tolerance_m, self.bag)
-
-    def _status(self) -> StatusSeries:
-        if self.status is not None:
-            return self.status
-        if self.headless is not None:
-            return _status_of(self.headless)
-        return StatusSeries() if self.bag is None else read_status(self.bag)
+        status = self.status
+        if status is None and self.headless is not None:
+            status = _status_of(self.headless)
+        elif status is None:
+            status = StatusSeries() if self.bag is None else read_status(self.bag)
+        return view_of(self.recording, status, self.tolerance_m, self.bag)
 
     def plot(self, what: str = "errors", axes: Any = None) -> Any:
         """Draw a figure of `ptnsbc plot` on Matplotlib axes, by default on new ones, and return them.

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.scenario.schema import FILE
-from ptnsbc_tools.files import replacing
 
 MOST = 254
 _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
@@ -151,8 +151,7 @@ def new(
     if path.exists() and not overwrite:
         raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
     text = text_of(named(path), shape, n, spacing_m)
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, folder=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
 

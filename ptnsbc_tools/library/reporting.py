@@ -1,16 +1,31 @@
-"""The page of a recorded flight: the function behind `ptnsbc report`."""
+"""Files made of flights: the page of `ptnsbc report`, and the tables of `ptnsbc export`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
-from ptnsbc_tools.files import replacing
 from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.plotting.flight import FlightView, read_view
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions
+
+if TYPE_CHECKING:  # half the memory of an export of a flight
+    from ptnsbc_tools.library.sweeping import Sweep
+
+FORMATS = (".csv", ".parquet")
+_READ_MCAP = {".rrd": "Rerun", ".ulg": "PlotJuggler"}
+
+
+class ExportError(PtnsbcError):
+    """A file that no table can be written to."""
 
 
 class ReportError(PtnsbcError):
@@ -52,12 +67,17 @@ def report(
         ReportError: no such bag.
         PtnsbcError: a bag cannot be read; nothing is written.
     """
+    from ptnsbc_tools.report.page import page as page_of
+
     bag = flight.bag if isinstance(flight, Flight) else Path(flight)
     shown = _view_of(flight, options)
     beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
     target = beside_bag if folder is None else Path(folder)
     beside = None if other is None else _view_of(other, options)
-    page = _write_page(bag, target, shown, beside)
+    metadata = {"mode": "headless"} if bag is None else _metadata(bag)
+    page, text = target / "index.html", page_of(shown, metadata, beside)
+    with replacing(page, folder=True) as part:
+        part.write_text(text, encoding="utf-8")
     drawn = _draw(shown, target, progress) if pictures and shown.uavs else ()
     word = None if shown.verdict is None else shown.verdict.verdict
     return Report(page, drawn, word, shown.problem or "")
@@ -69,19 +89,6 @@ def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
     if not Path(flight).exists():
         raise ReportError(f"{flight}: no such bag")
     return read_view(Path(flight), options)
-
-
-def _write_page(
-    bag: Path | None, folder: Path, shown: FlightView, beside: FlightView | None
-) -> Path:
-    from ptnsbc_tools.report.page import page
-
-    metadata = {"mode": "headless"} if bag is None else _metadata(bag)
-    path, text = folder / "index.html", page(shown, metadata, beside)
-    with replacing(path) as part:
-        folder.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-    return path
 
 
 def _metadata(bag: Path) -> dict[str, str]:
@@ -106,3 +113,68 @@ def _draw(shown: FlightView, folder: Path, progress: bool | None) -> tuple[Path,
                 drawn.append(draw.save(figure, folder / f"{key}.png"))
             advance(done, len(CHARTS))
     return tuple(drawn)
+
+
+def checked(path: Path) -> Path:
+    """The path, when its suffix names a format; ExportError else."""
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        viewer = _READ_MCAP.get(suffix)
+        way = f"; {viewer} opens the .mcap file of the bag itself" if viewer else ""
+        raise ExportError(
+            f"{path}: suffix {suffix or 'missing'}: expected {' or '.join(FORMATS)}{way}"
+        )
+    return path
+
+
+def export(source: Flight | Sweep, file: str | Path) -> Path:
+    """Write a flight or a sweep as a table, as `ptnsbc export`, and return the file.
+
+    Args:
+        source: a flight, or a sweep.
+        file: FILE.csv or FILE.parquet.
+
+    Raises:
+        ExportError: no such format.
+        OutputFileError: the file cannot be written.
+    """
+    path = checked(Path(file))
+    table = table_of(source)
+    with replacing(path, folder=True) as part:
+        if path.suffix.lower() == ".csv":
+            import pyarrow.csv
+
+            pyarrow.csv.write_csv(table, part)
+        else:
+            import pyarrow.parquet
+
+            pyarrow.parquet.write_table(table, part)
+    return path
+
+
+def table_of(source: Flight | Sweep) -> Any:
+    """An Arrow table: one row for each instant and UAV of a flight, or for each UAV and flight of a sweep."""
+    import pyarrow as pa
+
+    columns: Iterable[tuple[str, str, NDArray[Any]]]
+    if isinstance(source, Flight):
+        columns, about = source.columns(), {"scenario": source.scenario.name}
+    else:
+        columns = ((name, source.units[name], column) for name, column in source.columns.items())
+        about = {"plan": source.plan.name}
+    fields, arrays = [], []
+    for name, unit, values in columns:
+        array = _column(np.ascontiguousarray(values))
+        fields.append(pa.field(name, array.type, metadata={"unit": unit}))
+        arrays.append(array)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=about))
+
+
+def _column(values: NDArray[Any]) -> Any:
+    """An Arrow array; `pyarrow.array` would import pandas where it is installed, for a third of a second."""
+    import pyarrow as pa
+
+    if values.dtype.kind not in "iuf":
+        return pa.array(values)
+    kind = pa.from_numpy_dtype(values.dtype)
+    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])

@@ -129,35 +129,28 @@ def plan(
     runs: int = 200,
     *,
     vary: Mapping[str, str] | Sequence[str] = (),
-    latin: bool = False,
     starts: str = "file",
     family: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
-    seed: int = 0,
-    stop_after_s: float | None = None,
-    dry_runs: int = 0,
     name: str | None = None,
+    **rest: Any,
 ) -> SweepPlan:
-    """The flights of a sweep; the arguments are those of `sweep`.
+    """The flights of a sweep; the arguments are those of `sweep`, `rest` are further fields of SweepPlan.
 
     Raises:
         SweepError: an axis, a start or a family that cannot be.
     """
-    axes = (
-        [f"{key}={values}" for key, values in vary.items()] if isinstance(vary, Mapping) else vary
-    )
+    if isinstance(vary, Mapping):
+        vary = [f"{key}={values}" for key, values in vary.items()]
     path = find_family(str(family)) if family is not None else None
     return plan_of(
         scenario,
         runs,
-        seed=seed,
-        axes=tuple(parse_axis(text) for text in axes),
-        latin=latin,
+        axes=tuple(parse_axis(text) for text in vary),
         starts=parse_starts(starts),
         family=_family_text(path, overrides or {}) if path is not None else "",
-        stop_after_s=stop_after_s,
-        check=dry_runs,
         name=name or (path.stem if path is not None else scenario.name),
+        **rest,
     )
 
 
@@ -243,12 +236,12 @@ def sweep(
         scenario,
         runs,
         vary=vary,
-        latin=latin,
         starts=starts,
         family=family,
+        latin=latin,
         seed=seed,
         stop_after_s=stop_after_s,
-        dry_runs=dry_runs,
+        check=dry_runs,
     )
     with ExitStack() as stack:
         temporary = folder is None
@@ -259,7 +252,7 @@ def sweep(
 
 
 def open_sweep(folder: str | Path) -> Sweep:
-    """A sweep from its folder, as `ptnsbc sweep --out` wrote it.
+    """A sweep from its folder, as `ptnsbc sweep` wrote it.
 
     Raises:
         SweepError: it is none, or it is not complete.

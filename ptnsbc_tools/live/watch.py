@@ -37,11 +37,14 @@ class WatchOptions:
     page: bool = True
     port: int = 0
     foxglove: int | None = None  # port
-    begin: Callable[[Scenario], Sink | None] = lambda scenario: None
 
 
-def watch(options: WatchOptions, say: Callable[[str], None]) -> None:
-    """Look at a fleet until SIGINT or SIGTERM.
+def watch(
+    options: WatchOptions,
+    say: Callable[[str], None],
+    sink_of: Callable[[Scenario], Sink] | None = None,
+) -> None:
+    """Look at a fleet until SIGINT or SIGTERM; `sink_of` makes a further receiver of its frames.
 
     Raises:
         PtnsbcError: no fleet, a scenario that cannot be read, a port that is taken.
@@ -56,7 +59,7 @@ def watch(options: WatchOptions, say: Callable[[str], None]) -> None:
         if options.page:
             server = stack.enter_context(LiveServer(feed, live_page, options.port))
             say(f"live view: {server.address}")
-        sinks = [feed.add, *filter(None, [options.begin(scenario)])]
+        sinks = [feed.add, *([] if sink_of is None else [sink_of(scenario)])]
         if options.foxglove is not None:
             from ptnsbc_tools.live.foxglove import FoxgloveSink
 

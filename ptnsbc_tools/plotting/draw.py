@@ -12,9 +12,9 @@ import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario import Obstacle
 from ptnsbc_sim.verdict.recording import Recording, tolerance_of
-from ptnsbc_tools.files import replacing
 from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look
 from ptnsbc_tools.plotting.charts import errors
 from ptnsbc_tools.plotting.flight import FlightView
@@ -125,10 +125,8 @@ def save(figure: Any, path: Path) -> Path:
 
     kind = format_of(path)
     metadata = _UNDATED[kind]
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
-            figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
+    with replacing(path, folder=True) as part, matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
+        figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
     return path
 
 
@@ -136,11 +134,9 @@ def save_pages(figures: Sequence[Any], path: Path) -> Path:
     """Write figures as the pages of one PDF."""
     from matplotlib.backends.backend_pdf import PdfPages
 
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with PdfPages(part, metadata=_UNDATED[".pdf"]) as pages:
-            for figure in figures:
-                pages.savefig(figure)
+    with replacing(path, folder=True) as part, PdfPages(part, metadata=_UNDATED[".pdf"]) as pages:
+        for figure in figures:
+            pages.savefig(figure)
     return path
 
 

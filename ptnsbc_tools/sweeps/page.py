@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from rich.table import Table
 
-from ptnsbc_tools.files import replacing
+from ptnsbc_io.files import replacing
 from ptnsbc_tools.plotting.draw import save
 from ptnsbc_tools.report.page import asset, html_table
 from ptnsbc_tools.sweeps import comparison, summary
@@ -69,8 +69,7 @@ def _write(path: Path, command: str, name: str, heading: str, line: str,
         tables="\n".join(html_table(table) for table in tables),
         more=more,
     )
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, folder=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
 

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import click
 import pytest
-import typer.main
 from markdown_it import MarkdownIt
 
-from ptnsbc_tools.cli import app
+from ptnsbc_tools.cli import every_command
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -67,7 +66,7 @@ def _helps(command: click.Command, name: str) -> Iterator[tuple[str, str]]:
 
 
 def test_no_sentence_of_a_help_begins_with_a_clause():
-    helps = _helps(typer.main.get_command(app), "ptnsbc")
+    helps = _helps(every_command(), "ptnsbc")
     assert [(name, found) for name, text in helps for found in riddles(text)] == []
 
 

@@ -15,11 +15,11 @@ from markdown_it import MarkdownIt
 
 from paper.command import app as paper_app
 from ptnsbc_nodes.fleet.child_process import EXECUTABLES
-from ptnsbc_tools.cli import app
+from ptnsbc_tools.cli import every_command
 
 ROOT = Path(__file__).parents[2]
 PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-COMMANDS = typer.main.get_command(app)
+COMMANDS = every_command()
 
 
 def _spans(page: Path) -> Iterator[str]:

@@ -17,7 +17,7 @@ from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_sim.verdict import Recording, Series
-from ptnsbc_tools.cli import app
+from ptnsbc_tools.cli import app, functions
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
 
 Fly = Callable[..., Recording]
@@ -59,6 +59,42 @@ def test_help_and_version() -> None:
         assert command in out
         assert run(command, "--help")[0] == 0
     assert run("--version")[1].startswith("ptnsbc ")
+
+
+@pytest.mark.parametrize("name", [name for name, _ in functions() if name != "reproduce"])
+def test_every_command_has_help_by_both_names(name: str) -> None:
+    short, long = (run(*name.split(), word) for word in ("-h", "--help"))
+    assert short == long and short[0] == 0
+    assert f" {name} [" in short[1]
+
+
+def test_help_after_other_words_and_not_after_the_end_of_options() -> None:
+    assert run("check", "paper_5", "--seed", "x", "-h")[0] == 0
+    assert run("check", "--", "-h")[0] == 2
+
+
+def test_paragraphs_are_wrapped_by_the_terminal() -> None:
+    command = [sys.executable, "-m", "ptnsbc_tools", "compare", "-h"]
+    environment = {**os.environ, "COLUMNS": "200"}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert "when the largest error after the deadline has grown in the median" in done.stdout
+
+
+def test_the_commands_are_in_panels() -> None:
+    out = run("-h")[1]
+    places = [out.index(word) for word in ("Begin", "Fly", "Look at flights", "Bags", "Processes")]
+    assert places == sorted(places)
+
+
+def test_help_loads_neither_the_laws_nor_what_parses_options() -> None:
+    code = (
+        "import sys\nfrom ptnsbc_tools.cli import app\n"
+        "try:\n    app(['check', '--help'], prog_name='ptnsbc')\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numba', 'numpy', 'pydantic', 'rich', 'scipy', 'matplotlib', 'rclpy'} & set(sys.modules)\n"
+        "print(sorted(heavy), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "[]\n"
 
 
 def test_check_of_the_paper() -> None:
@@ -262,7 +298,7 @@ WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None\n"
 
 
 def test_a_flight_in_one_process_needs_no_ros() -> None:
-    modules = "ptnsbc, ptnsbc_tools.reading.headless, ptnsbc_tools.commands.fly.simulate"
+    modules = "ptnsbc, ptnsbc_tools.reading.headless, ptnsbc_tools.commands.simulate"
     subprocess.run([sys.executable, "-c", f"{WITHOUT_ROS}import {modules}"], check=True)
 
 

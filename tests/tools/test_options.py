@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -19,8 +17,7 @@ LEGS = "legs:\n  - {kind: form, over_s: 5}\n  - {kind: hold, over_s: 3}\n"
 def flown(folder: Path, text: str) -> Scenario:
     file = folder / "my_legs.yaml"
     file.write_text(text, "utf-8")
-    context: Any = SimpleNamespace(params={"scenario": "mission_6", "mission": file})
-    return options.chosen(context)
+    return options.FlightChoices(mission=file).of("mission_6")
 
 
 @pytest.mark.parametrize("text", [LEGS, "mission:\n" + LEGS.replace("legs", "  legs")])
@@ -54,7 +51,7 @@ def test_the_shell_completes_the_names_of_scenarios() -> None:
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [("check paper_5_f", ["paper_5_free"]), ("simulate nothing", []), ("bag mer", ["merge"])],
+    [("check paper_5_f", ["paper_5_free"]), ("simulate nothing", []), ("bag tri", ["trim"])],
 )
 def test_the_completion_answers_the_shell(words: str, said: list[str]) -> None:
     asked = {"_PTNSBC_COMPLETE": "complete_bash", "COMP_WORDS": f"ptnsbc {words}"}

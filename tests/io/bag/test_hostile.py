@@ -12,10 +12,9 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
-from ptnsbc_io.bag import records as bag_records
+from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, mcap_file, read_bag
+from ptnsbc_io.bag.mcap_file import LARGEST_CHUNK, MAGIC, MOST_MESSAGES
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.records import LARGEST_CHUNK, MAGIC, MOST_MESSAGES
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate
 
@@ -75,7 +74,7 @@ def readable(path: Path) -> int:
 def work(monkeypatch):
     """Bytes that were read from files and searched."""
     done = [0]
-    search, read = bag_records._next_chunk, bag_records._read_records
+    search, read = mcap_file._next_chunk, mcap_file._read_records
 
     def searched(stream, offset):
         found = search(stream, offset)
@@ -86,8 +85,8 @@ def work(monkeypatch):
         done[0] += length
         return read(stream, opcode, length, *more)
 
-    monkeypatch.setattr(bag_records, "_next_chunk", searched)
-    monkeypatch.setattr(bag_records, "_read_records", counted)
+    monkeypatch.setattr(mcap_file, "_next_chunk", searched)
+    monkeypatch.setattr(mcap_file, "_read_records", counted)
     return done
 
 
@@ -124,7 +123,7 @@ def test_many_chunks_unpack_to_a_bound(tmp_path):
     """Each is small enough; together 89 kB took 3 GB and 100 s."""
     filled = chunk(message(data=bytes(LARGEST_CHUNK // 4)), "zstd")
     path = file(tmp_path / "bombs.mcap", *[filled] * 30)
-    bound = bag_records.unpacked_bytes(path.stat().st_size)
+    bound = mcap_file.unpacked_bytes(path.stat().st_size)
     unpacked = sum(len(one.data) for one in read_bag(path, salvage=True).messages())
     assert unpacked <= bound < 30 * LARGEST_CHUNK // 4
 
@@ -138,7 +137,7 @@ def test_many_chunks_hold_a_bound_of_messages(tmp_path):
     """26 kB took half a minute."""
     filled = chunk(message() * (MOST_MESSAGES // 4), "zstd")
     path = file(tmp_path / "crowds.mcap", *[filled] * 20)
-    assert readable(path) <= bag_records.messages_in(path.stat().st_size)
+    assert readable(path) <= mcap_file.messages_in(path.stat().st_size)
 
 
 def test_a_chunk_of_zeros_is_damaged(tmp_path):

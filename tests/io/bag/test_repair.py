@@ -1,4 +1,4 @@
-"""What a killed, cut or damaged recording comes back as."""
+"""What a killed, cut or damaged recording comes back as, and spans of a bag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from killed_recordings import killed_recordings
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.bag.repair import repair, trim
+from ptnsbc_io.wire import HeaderTemplate
 
 TOPICS = (
     TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry", "best_effort", "volatile", 1),
@@ -234,3 +235,44 @@ def test_kill_at_any_moment(tmp_path):
     assert all(kill.missing == 0 and kill.messages > 100 for kill in killed)
     # Loss is a promise of time: checked with room for a machine that is busy.
     assert min(kill.loss_s for kill in killed) < 1.0
+
+
+HEADER = "std_msgs/msg/Header"
+EPOCH = TopicInfo("/formation/epoch", HEADER, durability="transient_local", depth=1)
+
+
+def header(k: int) -> bytes:
+    return HeaderTemplate(f"m{k}").encode(k)
+
+
+def write_headers(path: Path, topic: str, times: range) -> Path:
+    topics = [EPOCH, TopicInfo(topic, HEADER)]
+    attached = {"scenario.yaml": b"n: 1\n"}
+    with BagWriter(path, topics, attachments=attached, metadata={"seed": "7"}) as bag:
+        bag.write(EPOCH.name, times[0], header(0))
+        for k in times:
+            bag.write(topic, k, header(k))
+    return path
+
+
+def test_a_span_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
+    whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
+    assert trim(whole, tmp_path / "part", 130, 160) == 5
+    part = read_bag(tmp_path / "part")
+    assert find_problems(part) == []
+    assert [(m.topic, m.stamp_ns, m.data) for m in part.messages()] == [
+        (EPOCH.name, 100, header(0)),
+        *(("/a", k, header(k)) for k in (130, 140, 150, 160)),
+    ]
+    assert part.attachment("scenario.yaml") == b"n: 1\n" and part.metadata == {"seed": "7"}
+    assert part.topics[EPOCH.name].offered_qos == read_bag(whole).topics[EPOCH.name].offered_qos
+
+
+def test_an_empty_span_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
+    with pytest.raises(BagError, match="no message from 2e-07 s to 3e-07 s after its first"):
+        trim(whole, tmp_path / "part", 300, 400)
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
+    trim(whole, tmp_path / "part", 100, 400)
+    with pytest.raises(BagError, match="exists"):
+        trim(whole, tmp_path / "part", 100, 400)

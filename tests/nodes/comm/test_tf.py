@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag.definitions import definition
+from ptnsbc_io.bag.metadata import definition
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.tf import LiveTransforms, Transforms

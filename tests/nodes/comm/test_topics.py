@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ptnsbc_io.bag.definitions import definition
+from ptnsbc_io.bag.metadata import definition
 from ptnsbc_nodes.comm import topics
 
 

@@ -15,9 +15,8 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording
 from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_tools.library.flight import Flight, FlightError, flight_in
+from ptnsbc_tools.library.flight import QUANTITIES, Flight, FlightError, flight_in
 from ptnsbc_tools.library.optional import LibraryMissingError
-from ptnsbc_tools.library.quantities import QUANTITIES
 
 Fly = Callable[..., Recording]
 

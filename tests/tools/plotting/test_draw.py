@@ -9,7 +9,7 @@ import matplotlib.axes
 import numpy as np
 import pytest
 
-from ptnsbc_tools.files import OutputFileError
+from ptnsbc_io.files import OutputFileError
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import errors
 from ptnsbc_tools.plotting.flight import view_of

@@ -1,1 +1,0 @@
-"""Commands on bags: record, replay, repair."""

@@ -1,1 +1,0 @@
-"""Commands to begin with: write, list and check scenarios, examine the computer."""

@@ -1,0 +1,96 @@
+"""`ptnsbc check`: a scenario before its flight, by closed forms and dry runs; `ptnsbc doctor`: this computer."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ptnsbc_tools import console
+from ptnsbc_tools.limits import MOST_RUNS
+from ptnsbc_tools.options import (
+    FlightChoices,
+    JsonOption,
+    ScenarioArgument,
+    argument,
+    option,
+    scenario_with,
+)
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario import Scenario
+
+_RUNS = 20
+_LACKING = 1
+
+
+def check(
+    scenario: ScenarioArgument,
+    choices: FlightChoices,
+    backend: Annotated[
+        Literal["sim", "mavlink"],
+        option("--backend", "Check what the fleet flies with this backend."),
+    ] = "sim",
+    fly: Annotated[
+        bool, option("--fly/--no-fly", "Fly dry runs when the rest finds no error.")
+    ] = True,
+    runs: Annotated[int, option("--runs -n N", "Perturbed dry runs.", 1, MOST_RUNS)] = _RUNS,
+    json: JsonOption = False,
+) -> None:
+    """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles, dry runs.
+
+    The dry runs fly the scenario in this process: once as it stands, then with starts moved at random.
+    The scenario is refused when the first of them is not met, or fewer than half of all; with noise, gusts, faults
+    or lossy links, fewer than 95 % of all.
+    """
+    from ptnsbc_tools.library import flying
+    from ptnsbc_tools.tables import findings_table
+
+    chosen = choices.of(scenario)
+    if backend == "mavlink":
+        chosen = chosen.bridged()
+    report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True)
+    if json:
+        findings = [dataclasses.asdict(finding) for finding in report]
+        console.print_json({"scenario": chosen.name, "ok": report.ok, "findings": findings})
+    else:
+        console.out().print(findings_table(f"Pre-flight check of {chosen.name}", report))
+    report.refuse()
+
+
+def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None:
+    """Check a scenario before a flight: show warnings, and raise on errors where `refusing`."""
+    from ptnsbc_tools.check import INFO
+    from ptnsbc_tools.library import flying
+    from ptnsbc_tools.tables import findings_table
+
+    report = flying.check(scenario, dry_runs=0)
+    warnings = [finding for finding in report if finding.severity != INFO]
+    if warnings and not quiet:
+        console.err().print(findings_table(f"Pre-flight check of {scenario.name}", warnings))
+    if refusing:
+        report.refuse()
+
+
+def doctor(
+    scenario: Annotated[
+        str | None, argument("[SCENARIO]", "Look at the ports of this scenario's bridges too.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Examine this computer: middleware, discovery, clock, cores, cache, disk, ports.
+
+    Exit code 0: flights are possible, whatever the warnings are. 1: something must be mended first.
+    """
+    from ptnsbc_tools.check import ERROR
+    from ptnsbc_tools.doctor import examine
+    from ptnsbc_tools.tables import findings_table
+
+    findings = examine(None if scenario is None else scenario_with(scenario, {}))
+    if json:
+        console.print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
+    else:
+        console.out().print(findings_table("This computer", findings))
+    if any(finding.severity == ERROR for finding in findings):
+        raise typer.Exit(_LACKING)

@@ -1,0 +1,328 @@
+"""`ptnsbc fleet`: one ROS 2 process per UAV, recorded, and the verdict from the bag; `ptnsbc demo`: one of them."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.runtime.signals import restore_handlers
+from ptnsbc_tools import console, ros
+from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.options import (
+    AllowArmingOption,
+    BagOption,
+    DomainOption,
+    DurationOption,
+    FlightChoices,
+    FoxgloveOption,
+    JsonOption,
+    NamespaceOption,
+    NetworkOption,
+    OverwriteOption,
+    PlainOption,
+    ScenarioArgument,
+    option,
+)
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult
+    from ptnsbc_sim.scenario import Scenario
+
+_DEMO = "paper_5"
+_NO_VERDICT = 1
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What flies, and where its processes run."""
+
+    lockstep: Annotated[
+        bool,
+        option(
+            "--lockstep/--real-time",
+            "As fast as possible, with the same bytes every time, or by the wall clock.",
+        ),
+    ] = False
+    backend: Annotated[
+        Literal["sim", "mavlink"],
+        option("--backend", "The simulator, or a MAVLink bridge per flight controller."),
+    ] = "sim"
+    allow_arming: AllowArmingOption = False
+    only: Annotated[
+        str,
+        option(
+            "--only PROCESSES",
+            "Start only these processes on this host, and the others elsewhere: recorder,sim,1,2. "
+            "The host that runs the recorder waits for all other hosts, starts the flight and ends it.",
+        ),
+    ] = ""
+    processes: Annotated[
+        int | None,
+        option(
+            "--processes K",
+            "Fly the simulated UAVs in K processes instead of one for each: for large fleets.",
+            1,
+        ),
+    ] = None
+    namespace: NamespaceOption = ""
+    operator: Annotated[
+        bool,
+        option(
+            "--operator",
+            "Offer the fleet in the types of ptnsbc_interfaces: its state, actions and services.",
+        ),
+    ] = False
+    wait: Annotated[
+        bool,
+        option(
+            "--wait",
+            "Leave arming (`ptnsbc mission arm`) and the start (`ptnsbc mission start 1`) to an operator.",
+        ),
+    ] = False
+    bag: BagOption = None
+    overwrite: OverwriteOption = False
+
+    def request(self, scenario: Scenario) -> FleetOptions:
+        """The request to the launcher."""
+        from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
+
+        fields = {**vars(self), "only": frozenset[str]()}
+        if self.only:
+            fields["only"] = chosen(self.only, scenario, self.backend)
+        return FleetOptions(scenario, **fields)
+
+
+@dataclass(frozen=True)
+class Views:
+    """The views of a flight while it is flown."""
+
+    view: Annotated[
+        bool, option("--view", "Serve a page with the flight live, and print its address.")
+    ] = False
+    foxglove: FoxgloveOption = None
+    plain: PlainOption = False
+
+
+def fleet(
+    scenario: ScenarioArgument,
+    parts: Parts,
+    choices: FlightChoices,
+    views: Views,
+    network: NetworkOption = None,
+    domain: DomainOption = None,
+    params_file: Annotated[
+        Path | None,
+        option(
+            "--params-file FILE",
+            "Values from a ROS parameter file, as `ptnsbc params` and `ros2 param dump` write one; other options win.",
+        ),
+    ] = None,
+    check: Annotated[
+        bool | None,
+        option(
+            "--check/--no-check",
+            "Fly dry runs before anything starts, and from the measured positions before anything arms and before "
+            "the flight. Default: with real vehicles.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
+
+    The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
+    host without --network.
+    """
+    ros.select_network(network, domain)
+    chosen = choices.of(scenario, params_file)
+    raise typer.Exit(fly_and_judge(chosen, parts, json=json, check=check, views=views))
+
+
+def demo(
+    duration: DurationOption = None,
+    folder: Annotated[
+        Path, option("--output -o DIR", "Folder for the bag and the picture.")
+    ] = Path("out"),
+    json: JsonOption = False,
+) -> None:
+    """Fly Simulation 1 of the paper with a fleet in lock-step: bag, verdict and picture."""
+    scenario = FlightChoices(duration=duration).of(_DEMO)
+    bag = folder / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
+    picture = bag.with_name(f"{bag.name}.png")
+    parts = Parts(lockstep=True, bag=bag)
+    raise typer.Exit(fly_and_judge(scenario, parts, json=json, picture=picture))
+
+
+def fly_and_judge(
+    scenario: Scenario,
+    parts: Parts,
+    *,
+    json: bool,
+    picture: Path | None = None,
+    check: bool | None = None,
+    views: Views | None = None,
+) -> int:
+    """Fly with one process per UAV and judge the bag; returns the exit code.
+
+    Args:
+        scenario: the scenario to fly.
+        parts: what flies, and where; without a bag the recording is temporary.
+        json: print the verdict as JSON.
+        picture: PNG to draw.
+        check: fly dry runs first, and refuse what they refuse; None: with flight controllers.
+        views: while it is flown; None: none.
+    """
+    bridged = parts.backend == "mavlink"
+    if bridged:
+        for line in _flight_overrides(scenario):
+            console.say(line)
+        scenario = scenario.bridged()
+    preflight(scenario, quiet=json)
+    with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
+        request = parts.request(scenario)
+    if request.leads and (bridged if check is None else check):
+        # After the dry runs from the positions of the file, those from the measured ones.
+        _refuse_dry_runs(scenario)
+        request = replace(request, objection=_objection)
+    if not request.leads:
+        return _show_part(_fly(request, views, json), json=json)
+    with ExitStack() as stack:
+        if request.bag is None:  # the verdict is read from a bag
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
+            request = replace(request, bag=Path(folder) / "bag")
+        flown = _fly(request, views, json)
+        for line in _losses(flown):
+            console.say(line)
+        assert request.bag is not None
+        if flown.interrupted and not request.bag.exists():
+            return flown.exit_code
+        return _judge(request.bag, flown, kept=parts.bag, picture=picture, json=json)
+
+
+def _refuse_dry_runs(scenario: Scenario) -> None:
+    """Fly the dry runs of a scenario; CheckError when they refuse it."""
+    from ptnsbc_tools.check import refuse
+    from ptnsbc_tools.library.flying import flown_before
+
+    refuse(scenario, flown_before(scenario))
+
+
+def _objection(scenario: Scenario) -> str:
+    """The reason why a scenario must not be flown, in a line; empty when it may."""
+    try:
+        _refuse_dry_runs(scenario)
+    except PtnsbcError as error:
+        return f"{error}; with --no-check it is flown all the same"
+    return ""
+
+
+def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
+    from ptnsbc_nodes.fleet.fleet import run_fleet
+    from ptnsbc_tools.live.beside import Viewing
+    from ptnsbc_tools.live.dashboard import Dashboard
+
+    page, foxglove, dashboard = False, None, None
+    if views is not None:
+        page, foxglove = views.view, views.foxglove
+        if not (views.plain or json) and sys.stdout.isatty() and sys.stderr.isatty():
+            dashboard = Dashboard()
+    say = console.say if dashboard is None else dashboard.say
+    viewing = Viewing(request.scenario, request.namespace, page, foxglove, dashboard)
+    try:
+        with dashboard or nullcontext():
+            return run_fleet(replace(request, beside=viewing.beside(say)), say)
+    finally:
+        restore_handlers()
+
+
+def _flight_overrides(scenario: Scenario) -> Iterator[str]:
+    """The changes that real vehicles make to a scenario, one line each."""
+    for key, value in scenario.mavlink.overrides.items():
+        own: Any = scenario
+        for name in key.split("."):
+            own = getattr(own, name, None)
+        before = "the default" if own is None else own
+        yield f"in flight: {key}: {value} instead of {before} (mavlink.overrides)"
+
+
+def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
+    """The results of the processes, which the verdict does not have."""
+    return {
+        "startup_s": round(flown.startup_s, 3),
+        "flight_s": round(flown.flight_s, 3),
+        "died": list(flown.died),
+        "killed": list(flown.killed),
+        "interrupted": flown.interrupted,
+        "recorded": {key: flown.recorded.get(key) for key in ("messages", "late", "lost")},
+        "logs": str(flown.processes[0].log.parent) if flown.processes else None,
+    }
+
+
+def _ends(flown: FleetResult) -> Iterator[str]:
+    """The processes that ended in flight, one line each."""
+    for name in flown.died:
+        yield f"{name} ended before its time"
+    for name in flown.killed:
+        yield f"{name} was killed, as the scenario has it"
+
+
+def _losses(flown: FleetResult) -> Iterator[str]:
+    """The defects of the flight and its recording, one line each."""
+    yield from _ends(flown)
+    recorded = flown.recorded
+    if not recorded:
+        yield "the recorder left no count of its messages: the bag may be cut"
+    if recorded.get("late"):
+        yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
+    if recorded.get("lost"):
+        yield f"{recorded['lost']} messages did not reach the recorder: {recorded['messages']} are in the bag"
+
+
+def _judge(
+    bag: Path, flown: FleetResult, *, kept: Path | None, picture: Path | None, json: bool
+) -> int:
+    """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
+    from ptnsbc_sim.verdict import verdict_on
+    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.tables import show_verdict
+
+    facts = _fleet_facts(flown)
+    try:
+        recording = read_recording(bag)
+        verdict = verdict_on(recording)
+    except PtnsbcError as error:
+        line = " ".join(str(error).split())
+        end = "was interrupted" if flown.interrupted else "is over"
+        console.say(
+            f"error: the flight {end} after {flown.flight_s:.1f} s, but has no verdict: {line}"
+        )
+        if json:
+            place = None if kept is None else str(kept)
+            console.print_json({"bag": place, "fleet": facts, "verdict": None, "error": line})
+        return flown.exit_code or _NO_VERDICT
+    if picture is not None:
+        from ptnsbc_tools.plotting.draw import draw_flight
+
+        draw_flight(recording, picture)
+    show_verdict(verdict, json=json, bag=kept, fleet=facts, picture=picture)
+    return flown.exit_code or verdict.exit_code
+
+
+def _show_part(flown: FleetResult, *, json: bool) -> int:
+    """Show how a part of the fleet ended; the host with the recorder shows the verdict."""
+    for line in _ends(flown):
+        console.say(line)
+    console.say(f"over after {flown.flight_s:.1f} s; the verdict is on the host with the recorder")
+    if json:
+        facts = _fleet_facts(flown)
+        del facts["recorded"]
+        console.print_json({"fleet": facts})
+    return flown.exit_code

@@ -1,1 +1,0 @@
-"""Commands that fly a swarm or act on one that flies."""

@@ -1,0 +1,331 @@
+"""Commands to a fleet that flies: `ptnsbc mission`, `ptnsbc inject` and `ptnsbc view`."""
+
+from __future__ import annotations
+
+import json as json_text
+import os
+import re
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console, ros
+from ptnsbc_tools.options import (
+    LAST_DOMAIN,
+    FlyingDomainOption,
+    FoxgloveOption,
+    JsonOption,
+    NamespaceOption,
+    PlainOption,
+    argument,
+    group,
+    option,
+    scenario_with,
+)
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_sim.scenario.mission.faults import FaultBlock
+
+_ANSWER_S, _LISTENERS_S = 5.0, 15.0
+_HEALTH_S = 10.0  # for discovery, and two statuses
+_FIRST = "1"
+_FLEETS = {"start": "", "arm": " that waits for its operator (ptnsbc fleet --wait)"}
+_FLYING = " that flies a scenario with the key mission"
+
+mission = group("The legs of a flying fleet: list, start, cancel; arm before them.")
+
+
+class MissionError(PtnsbcError):
+    """A word that the leader did not take."""
+
+
+class InjectError(PtnsbcError):
+    """A fault that cannot be injected."""
+
+
+class NoFleetError(PtnsbcError):
+    """It is not clear which fleet is meant."""
+
+
+@mission.command("list")
+def list_legs(
+    domain: FlyingDomainOption = None, namespace: NamespaceOption = "", json: JsonOption = False
+) -> None:
+    """Print the legs of the mission that a fleet flies, with their times since the first epoch."""
+    legs = json_text.loads(_answer("mission", domain, namespace))
+    if json:
+        console.print_json(legs)
+        return
+    from ptnsbc_tools.tables import mission_list
+
+    console.out().print(mission_list(legs))
+
+
+@mission.command()
+def start(
+    leg: Annotated[str, argument("LEG", "Name or number of the leg, as `list` prints it.")],
+    domain: FlyingDomainOption = None,
+    namespace: NamespaceOption = "",
+) -> None:
+    """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused.
+
+    Leg 1 starts a flight that waits for its operator (`ptnsbc fleet --wait`).
+    """
+    if leg == _FIRST:
+        console.say(_answer("start", domain, namespace))
+        return
+    legs = json_text.loads(_answer("mission", domain, namespace))["legs"]
+    known = {one["name"]: one["number"] for one in legs if one["number"] > 1}
+    numbers = {str(number): number for number in known.values()}
+    number = known.get(leg, numbers.get(leg))
+    if number is None:
+        raise MissionError(f"leg {leg}: expected one of {', '.join(known)}")
+    console.say(_answer(f"leg_{number}", domain, namespace))
+
+
+@mission.command()
+def cancel(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> None:
+    """Let the leader come to rest, and the formation with it; no later leg begins by itself."""
+    console.say(_answer("cancel", domain, namespace))
+
+
+@mission.command()
+def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> None:
+    """Let the vehicles of a fleet that waits for its operator arm and take off (`ptnsbc fleet --wait`)."""
+    console.say(_answer("arm", domain, namespace))
+
+
+def _answer(service: str, domain: int | None, namespace: str) -> str:
+    """The answer of the leader.
+
+    Raises:
+        MissionError: no fleet with a mission is there, or it refuses.
+    """
+    number = ros.domain_number(domain)
+    with _coordinator(number, "mission", namespace) as coordinator:
+        done, said = coordinator.ask(service, _ANSWER_S)
+    if done:
+        return said
+    from ptnsbc_nodes.fleet.coordinator_node import not_there
+
+    if said == not_there(service):
+        said = (
+            f"no fleet answered: expected one there{_FLEETS.get(service, _FLYING)}; "
+            "choose another by --domain N or --namespace NAME"
+        )
+    raise MissionError(f"domain {number}: {said}")
+
+
+def _coordinator(domain: int, name: str, namespace: str) -> Coordinator:
+    with ros.required():
+        from ptnsbc_nodes.comm.seal import operators_seal
+        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    return Coordinator(domain, f"{name}_{os.getpid()}", namespace, seal=operators_seal())
+
+
+KINDS = (
+    "silence", "loss", "delay", "nan", "jump", "kill", "freeze", "restart", "clock_offset", "disk_full",
+    "battery", "gps_off",
+)  # fmt: skip
+"""The names in FAULTS, here too: --help does without the package of scenarios."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """The keys of a fault, as options."""
+
+    kind: Annotated[str, argument("FAULT", f"One of {', '.join(KINDS)}.")]
+    uav: Annotated[int | None, option("--uav N", "UAV that it strikes.")] = None
+    process: Annotated[
+        str | None, option("--process NAME", "Process: uavN, bridgeN, sim, recorder.")
+    ] = None
+    duration_s: Annotated[
+        float | None, option("--duration S", "How long. Default: to the end of the flight.")
+    ] = None
+    share: Annotated[float | None, option("--share SHARE", "loss: fraction of the messages.")] = (
+        None
+    )
+    delay_s: Annotated[float | None, option("--delay S", "delay: how late.")] = None
+    offset_m: Annotated[
+        tuple[float, float, float] | None,
+        option("--offset X Y Z", "jump: offset of the position in metres, ENU."),
+    ] = None
+    offset_s: Annotated[float | None, option("--clock S", "clock_offset: added to the stamps.")] = (
+        None
+    )
+    charge: Annotated[
+        float | None, option("--charge SHARE", "battery: charge of a stand-in, 0 to 1.")
+    ] = None
+
+    def block(self) -> FaultBlock:
+        """The fault as a scenario has it; InjectError when the options do not go together."""
+        from pydantic import ValidationError
+
+        from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
+
+        if self.kind not in KINDS:
+            raise InjectError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
+        given = {key: value for key, value in vars(self).items() if value is not None}
+        if self.offset_m is not None:
+            given["offset_m"] = list(self.offset_m)
+        try:
+            fault = FaultBlock.model_validate({**given, "at_s": 0.0})
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            text = f"{where}: {first.get('input')}: {first['msg']}"
+            raise InjectError(_in_options(text)) from None
+        uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
+        bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
+        for problem in fault_problems(fault, [*uavs, *bridges]):
+            raise InjectError(_in_options(problem))
+        return fault
+
+
+_OPTIONS = {
+    "uav": "--uav", "process": "--process", "duration_s": "--duration", "share": "--share",
+    "delay_s": "--delay", "offset_m": "--offset", "offset_s": "--clock", "charge": "--charge",
+}  # fmt: skip
+"""The option of each key of a fault."""
+
+
+def _in_options(problem: str) -> str:
+    """A problem with the options in place of the keys of a scenario."""
+    return re.sub(rf"\b({'|'.join(_OPTIONS)})\b", lambda key: _OPTIONS[key[0]], problem)
+
+
+def inject(
+    fault: Fault,
+    control: Annotated[
+        int | None,
+        option(
+            "--control PORT", "battery, gps_off: port of `ptnsbc autopilot --control`.", 1, 65535
+        ),
+    ] = None,
+    domain: FlyingDomainOption = None,
+    namespace: NamespaceOption = "",
+) -> None:
+    """Inject a fault into a running fleet, to see what it does.
+
+    The fleet must fly a scenario with the key `faults`; an empty list will do. The fault begins when
+    the fleet hears of it. docs/faults.md lists the kinds.
+    """
+    from ptnsbc_sim.scenario.mission.faults import AUTOPILOT
+
+    block = fault.block()
+    shown = block.text.replace(" at 0 s", "")
+    if block.rule.strikes == AUTOPILOT:
+        _strike_stand_in(block, control)
+        console.say(f"injected: {shown}")
+        return
+    if not block.rule.live:
+        raise InjectError(f"{block.kind}: expected it under faults in the scenario")
+    number = ros.domain_number(domain)
+    with _coordinator(number, "inject", namespace) as coordinator:
+        listeners = coordinator.inject(block, _LISTENERS_S)
+    if not listeners:
+        raise InjectError(
+            f"domain {number}: nobody takes faults: expected a fleet there whose scenario has the key "
+            "faults; an empty list will do"
+        )
+    console.say(f"injected: {shown}; {listeners} processes listened")
+
+
+def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
+    """Tell a stand-in, whose system id is the number of its UAV unless the scenario says otherwise."""
+    from ptnsbc_autopilot.faults import send_fault
+
+    if control is None:
+        raise InjectError(
+            f"{fault.kind}: expected --control PORT, as of `ptnsbc autopilot --control PORT`"
+        )
+    if fault.duration_s is not None:
+        raise InjectError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
+    what = f"battery {fault.charge}" if fault.kind == "battery" else "gps off"
+    send_fault(control, f"{fault.uav} {what}")
+
+
+def view(
+    scenario: Annotated[
+        str | None,
+        argument("[SCENARIO]", "What is flown. Default: as a UAV of the fleet says."),
+    ] = None,
+    domain: Annotated[
+        int | None,
+        option(
+            "--domain",
+            "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID, or that of the only "
+            "fleet of this host.",
+            0,
+            LAST_DOMAIN,
+        ),
+    ] = None,
+    namespace: NamespaceOption = "",
+    port: Annotated[int, option("--port", "Of the page. Default: a free one.", 0, 65535)] = 0,
+    foxglove: FoxgloveOption = None,
+    plain: PlainOption = False,
+    healthy: Annotated[
+        str,
+        option(
+            "--healthy PROCESSES",
+            "Show nothing: exit with 1 when one of these processes (uav3,sim) is silent or reports an error.",
+        ),
+    ] = "",
+    frames: Annotated[bool, option("--frames", "", hidden=True)] = False,
+    page: Annotated[bool, option("--page/--no-page", "", hidden=True)] = True,
+) -> None:
+    """Show a flying fleet live: prints the address of a page, and a table in the terminal.
+
+    The page is on this host alone and wants the token of its address. Ctrl-C ends the view; the
+    fleet flies on.
+    """
+    number = _watched_domain(domain)
+    if healthy:
+        raise typer.Exit(_health(number, namespace, healthy.split(",")))
+    with ros.required():
+        from ptnsbc_tools.live.watch import WatchOptions, frames_on_stdout, watch
+    from ptnsbc_tools.live.dashboard import Dashboard
+
+    flown = None if scenario is None else scenario_with(scenario, {})
+    options = WatchOptions(number, namespace, flown, page=page, port=port, foxglove=foxglove)
+    if frames:
+        watch(options, console.say, frames_on_stdout)
+    elif plain or not sys.stdout.isatty():
+        watch(options, console.say)
+    else:
+        with Dashboard() as dashboard:
+            watch(options, dashboard.say, dashboard.sink)
+
+
+def _health(domain: int, namespace: str, names: list[str]) -> int:
+    """Say what is wrong with these processes; the exit code."""
+    with ros.required():
+        from ptnsbc_nodes.view.observer import Observer
+    with Observer(domain, namespace, f"view_{os.getpid()}") as observer:
+        wrong = observer.ailments(names, _HEALTH_S)
+    for name, what in wrong.items():
+        console.say(f"{name}: {what}")
+    return 1 if wrong else 0
+
+
+def _watched_domain(domain: int | None) -> int:
+    """The domain that is meant.
+
+    Raises:
+        NoFleetError: none is named, and this host flies no fleet, or several.
+    """
+    if domain is not None or os.environ.get("ROS_DOMAIN_ID"):
+        return ros.domain_number(domain)
+    with ros.required():
+        from ptnsbc_nodes.view.observer import flying_domains
+    flying = flying_domains()
+    if len(flying) == 1:
+        return flying[0]
+    seen = (
+        f"fleets fly in the domains {', '.join(map(str, flying))}" if flying else "no fleet flies"
+    )
+    raise NoFleetError(f"on this host {seen}: expected --domain N, as `ptnsbc fleet` prints it")

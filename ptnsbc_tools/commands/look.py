@@ -1,0 +1,242 @@
+"""Commands that look at recorded flights: `ptnsbc verify`, `report`, `plot` and `export`; and `ptnsbc reproduce`."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console
+from ptnsbc_tools.options import BagArgument, JsonOption, PictureOption, Reading, argument, option
+
+if TYPE_CHECKING:
+    from ptnsbc_tools.plotting.flight import FlightView
+
+_NO_VERDICT = 1
+_ALL = "all"
+_CLONE = Path(__file__).resolve().parents[2]
+
+
+class PlotError(PtnsbcError):
+    """A figure that does not exist, or has nothing to show."""
+
+
+class NoCloneError(PtnsbcError):
+    """The packages are installed without the repository."""
+
+
+def verify(
+    bag: BagArgument, reading: Reading, picture: PictureOption = None, json: JsonOption = False
+) -> None:
+    """Judge a recorded flight: met, missed, violated or void, with input, energy and separations.
+
+    A UAV that entered a keep-out is violated. An error counts from the epoch on, outside encounters.
+    An encounter is a span in which the UAV, or one that it follows, avoids something, and a recovery
+    time after it. The settling time is the last exit from the band: 2 % of the start error or the
+    tolerance, whichever is larger. Each formation leg is judged. Bags of other systems (MCAP, sqlite3)
+    need --scenario and the names of their topics.
+    """
+    from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.tables import show_verdict
+
+    flight = flight_in(bag, reading.options())
+    verdict = flight.verdict
+    drawn = None if picture is None else flight.save_picture(picture)
+    show_verdict(verdict, json=json, picture=drawn)
+    raise typer.Exit(verdict.exit_code)
+
+
+def report(
+    bag: BagArgument,
+    reading: Reading,
+    out: Annotated[
+        Path | None,
+        option("--output -o DIR", "Folder for the page. Default: BAG-report beside the bag."),
+    ] = None,
+    other: Annotated[
+        Path | None, option("--with BAG", "Another flight, whose curves are shown dotted.")
+    ] = None,
+    pictures: Annotated[
+        bool, option("--pictures/--no-pictures", "Write the figures as PNG beside the page.")
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Show a recorded flight: one page that works offline, with playback and figures.
+
+    Exit code 0: the page shows a verdict, whatever it is. 1: the flight cannot be judged; the page
+    says why and shows what is recorded. 2: the bag cannot be read; nothing is written.
+    """
+    from ptnsbc_tools.library import reporting
+
+    with console.patience(f"reading {bag}"):
+        made = reporting.report(
+            bag, out, other=other, options=reading.options(), pictures=pictures, progress=True
+        )
+    if json:
+        console.print_json(
+            {
+                "report": str(made.page),
+                "pictures": [str(picture) for picture in made.pictures],
+                "verdict": made.verdict,
+                "problem": made.problem or None,
+            }
+        )
+    else:
+        print(made.page)
+    if made.problem:
+        console.err().print(f"warning: no verdict: {made.problem}", soft_wrap=True)
+        raise typer.Exit(_NO_VERDICT)
+
+
+def plot(
+    bag: BagArgument,
+    reading: Reading,
+    out: Annotated[
+        Path | None,
+        option(
+            "--output -o DIR|FILE",
+            "Folder, FILE.pdf for all figures, or FILE.png or FILE.svg for one. "
+            "Default: BAG-figures beside the bag.",
+        ),
+    ] = None,
+    what: Annotated[
+        str,
+        option(
+            "--what NAMES",
+            "all, or some of: errors, inputs, separations, force, force-first, torque, torque-first, "
+            "between, obstacles, estimator, gain, conditioning, missed, latency, age; separated by commas.",
+        ),
+    ] = _ALL,
+    form: Annotated[
+        Literal["png", "svg", "pdf"], option("--format", "Format of the files in a folder.")
+    ] = "png",
+    json: JsonOption = False,
+) -> None:
+    """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
+    from mimetypes import guess_type
+
+    from ptnsbc_tools.plotting import draw
+    from ptnsbc_tools.plotting.flight import read_view
+
+    keys = _keys(what)
+    one = out is not None and out.suffix.lower() in draw.FORMATS
+    pages = out if out is not None and out.suffix.lower() == ".pdf" else None
+    if out is not None and not one and not out.is_dir() and guess_type(out.name)[0] is not None:
+        formats = f"{', '.join(draw.FORMATS[:-1])} or {draw.FORMATS[-1]}"
+        raise PlotError(f"--output {out}: expected a folder, or FILE with {formats}")
+    if one and pages is None and len(keys) != 1:
+        raise PlotError(
+            f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
+        )
+    with console.patience(f"reading {bag}"):
+        shown = read_view(bag, reading.options())
+    if shown.problem:
+        console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
+    folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"
+    written = _draw(shown, keys, folder, f".{form}", one, pages)
+    if json:
+        console.print_json({"figures": [str(path) for path in written]})
+    else:
+        for path in written:
+            print(path)
+
+
+def _keys(what: str) -> list[str]:
+    from ptnsbc_tools.plotting.charts import CHARTS
+
+    groups = {
+        _ALL: list(CHARTS),
+        "inputs": ["force", "force-first", "torque", "torque-first"],
+        "separations": ["between", "obstacles"],
+        **{key: [key] for key in CHARTS},
+    }
+    names = [name.strip() for name in what.split(",") if name.strip()]
+    unknown = [name for name in names if name not in groups]
+    if unknown or not names:
+        raise PlotError(f"--what {what}: expected one or more of {', '.join(groups)}")
+    return list(dict.fromkeys(key for name in names for key in groups[name]))
+
+
+def _draw(
+    shown: FlightView, keys: list[str], out: Path, suffix: str, one: bool, pages: Path | None
+) -> list[Path]:
+    from ptnsbc_tools.plotting import draw
+    from ptnsbc_tools.plotting.charts import CHARTS
+
+    written: list[Path] = []
+    figures: list[Any] = []
+    with console.progress("drawing") as advance:
+        for done, key in enumerate(keys, start=1):
+            chart = CHARTS[key](shown) if shown.uavs else None
+            if chart is not None:
+                figures.append(draw.figure_of(chart, shown.scenario.name))
+                path = out if one else out / f"{key}{suffix}"
+                if pages is None:
+                    written.append(draw.save(figures.pop(), path))
+            advance(done, len(keys))
+    if pages is not None and figures:
+        written.append(draw.save_pages(figures, pages))
+    if not written:
+        reason = shown.problem or "the bag has no data for it"
+        raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
+    return written
+
+
+def export(
+    source: Annotated[Path, argument("BAG", "A bag, or the folder of a sweep.")],
+    reading: Reading,
+    output: Annotated[
+        Path | None,
+        option("--output -o FILE", "FILE.csv or FILE.parquet. Default: BAG.csv beside the bag."),
+    ] = None,
+) -> None:
+    """Write a table: one row for each instant and UAV of a flight, or the rows of a sweep.
+
+    The names of columns end in their unit, and a Parquet file has the unit of each column in its
+    metadata. Times count from the epoch; ENU is the world frame. Foxglove, PlotJuggler and Rerun read the
+    .mcap file of a bag as it is.
+    """
+    from ptnsbc_tools.library import reporting
+    from ptnsbc_tools.library.flight import flight_in
+
+    beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
+    path = reporting.checked(beside if output is None else output)
+    with console.patience(f"reading {source}"):
+        if _is_sweep(source):
+            from ptnsbc_tools.library.sweeping import open_sweep
+
+            reporting.export(open_sweep(source), path)
+        else:
+            reporting.export(flight_in(source, reading.options()), path)
+    console.show(str(path))
+
+
+def _is_sweep(source: Path) -> bool:
+    """True if this is the folder of a sweep: only then is the code of sweeps imported."""
+    from ptnsbc_io.bag.metadata import METADATA_FILE
+
+    if not source.is_dir() or (source / METADATA_FILE).exists():
+        return False
+    from ptnsbc_sim.sweep.runner import PLAN
+
+    return (source / PLAN).is_file()
+
+
+def reproduce(context: typer.Context) -> None:
+    """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
+
+    All words are those of `paper/`, `--help` too.
+    """
+    if not (_CLONE / "paper" / "command.py").is_file():
+        raise NoCloneError(
+            f"{_CLONE}/paper: there is no such folder: expected a clone of the repository; "
+            "run ptnsbc reproduce from its .venv (make setup)"
+        )
+    sys.path.insert(0, str(_CLONE))
+    import_module("paper.command").app(
+        context.args, prog_name="ptnsbc reproduce", standalone_mode=False
+    )

@@ -1,1 +1,0 @@
-"""Commands that judge, compare and show recorded flights."""

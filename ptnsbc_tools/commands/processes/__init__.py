@@ -1,1 +1,0 @@
-"""Commands that run single processes of a flight, and prepare vehicles and networks for it."""

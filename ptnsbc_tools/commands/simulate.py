@@ -1,0 +1,85 @@
+"""`ptnsbc simulate`: the whole swarm in this process, and its verdict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ptnsbc_tools import console
+from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.options import (
+    BagOption,
+    FlightChoices,
+    JsonOption,
+    OverwriteOption,
+    PictureOption,
+    argument,
+    option,
+)
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario import Scenario
+
+
+def simulate(
+    choices: FlightChoices,
+    scenario: Annotated[
+        str | None,
+        argument(
+            "[SCENARIO]", "A scenario file, or a name such as paper_5; or --sweep and --draw."
+        ),
+    ] = None,
+    sweep: Annotated[
+        Path | None, option("--sweep DIR", "Fly a draw of the sweep in this folder.")
+    ] = None,
+    draw: Annotated[int | None, option("--draw K", "The draw to fly; with --sweep.", 0)] = None,
+    picture: PictureOption = None,
+    bag: BagOption = None,
+    overwrite: OverwriteOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
+    from ptnsbc_sim.track import refuse_without_memory
+    from ptnsbc_tools.library.flying import fly
+    from ptnsbc_tools.plotting.draw import format_of
+    from ptnsbc_tools.reading.headless import prepare_bag
+    from ptnsbc_tools.tables import show_verdict
+
+    if sweep is None and draw is None and scenario is not None:
+        chosen = choices.of(scenario)
+    else:
+        chosen = _drawn(choices, scenario, sweep, draw)
+    if picture is not None:
+        format_of(picture)  # refused before the flight, not after it
+    refuse_without_memory(chosen)  # the check of a flight of ages takes ages
+    preflight(chosen, quiet=json, refusing=sweep is None)
+    if bag is not None:
+        prepare_bag(bag, overwrite=overwrite)
+
+    flight = fly(chosen, checked=False, progress=True)
+    if bag is not None:
+        with console.progress("recording") as advance:
+            bag = flight.save(bag, overwrite=overwrite, progress=advance).bag
+    verdict = flight.verdict
+    if picture is not None:
+        flight.save_picture(picture)
+    show_verdict(verdict, json=json, bag=bag, picture=picture)
+    raise typer.Exit(verdict.exit_code)
+
+
+def _drawn(
+    choices: FlightChoices, scenario: str | None, sweep: Path | None, draw: int | None
+) -> Scenario:
+    """The scenario of a draw, with what the options change."""
+    from ptnsbc_sim.scenario import scenario_from_text
+    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep import draw as draw_of
+    from ptnsbc_tools.sweeps.table import plan_in
+
+    if scenario is not None or sweep is None or draw is None:
+        raise SweepError("expected a SCENARIO, or --sweep DIR and --draw K")
+    drawn = draw_of(plan_in(sweep), draw)
+    keys = choices.keys()
+    return scenario_from_text(drawn.text, keys, source=drawn.source) if keys else drawn

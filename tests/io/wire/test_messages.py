@@ -1,0 +1,232 @@
+"""Messages against rclpy's serialiser and against themselves, and what one from outside must satisfy."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from wire_messages import (
+    FRAMES,
+    ODOMS,
+    SIXES,
+    STAMPS,
+    ros_header,
+    ros_odometry,
+    ros_six,
+    ros_time,
+    same_bytes,
+)
+
+from ptnsbc_io import wire
+from ptnsbc_io.wire import WireError, decode_diagnostics
+
+
+@given(STAMPS, FRAMES, FRAMES, ODOMS)
+def test_odometry_as_rclpy(ros, stamp, frame, child, odom):
+    ours = wire.OdometryTemplate(frame, child).encode(stamp, odom)
+    message = ros_odometry(stamp, frame, child, odom)
+    same_bytes(ros, ours, message)
+    decoded = wire.decode_odometry(ros.serialize_message(message))
+    assert decoded.stamp_ns == stamp
+    assert decoded.values.tobytes() == odom.tobytes()
+
+
+def test_odometry_skips_covariances(ros):
+    message = ros_odometry(5, "map", "uav1", np.arange(13.0))
+    message.pose.covariance[:] = 1e9
+    message.twist.covariance[:] = -1e9
+    assert wire.decode_odometry(ros.serialize_message(message)).values.tolist() == list(range(13))
+
+
+@given(STAMPS, FRAMES, FRAMES, ODOMS)
+def test_odometry_round_trip(stamp, frame, child, odom):
+    decoded = wire.decode_odometry(wire.OdometryTemplate(frame, child).encode(stamp, odom))
+    assert decoded.stamp_ns == stamp
+    assert decoded.values.tobytes() == odom.tobytes()
+    decoded.values[0] = 1.0  # the caller owns the array
+
+
+def test_template_forgets_the_last_message():
+    template = wire.OdometryTemplate("map", "uav1")
+    first = template.encode(1, np.ones(13))
+    template.encode(2, np.full(13, 2.0))
+    assert template.encode(1, np.ones(13)) == first
+
+
+def test_odometry_big_endian():
+    frames = struct.pack(">iI", 7, 9) + struct.pack(">I", 4) + b"map\0" + struct.pack(">I", 1)
+    body = frames + bytes(8 - (len(frames) + 1) % 8 + 1)
+    numbers = struct.pack(">7d288x6d288x", *range(13))
+    decoded = wire.decode_odometry(b"\0\0\0\0" + body + numbers)
+    assert decoded.stamp_ns == 7_000_000_009
+    assert decoded.values.tolist() == list(range(13))
+    assert decoded.values.dtype == np.float64
+
+
+@pytest.mark.parametrize("values", [np.ones(12), np.ones((13, 2)), np.ones(0)])
+def test_wrong_vector(values):
+    with pytest.raises(wire.WireError, match=r"expected \(13,\)"):
+        wire.OdometryTemplate("map", "uav1").encode(0, values)
+
+
+@pytest.mark.parametrize("kind", ["twist", "wrench"])
+@given(stamp=STAMPS, frame=FRAMES, values=SIXES)
+def test_six_as_rclpy(ros, kind, stamp, frame, values):
+    template, decode = {
+        "twist": (wire.VelocityTemplate, wire.decode_velocity),
+        "wrench": (wire.WrenchTemplate, wire.decode_wrench),
+    }[kind]
+    message = ros_six(kind, stamp, frame, values)
+    ours = template(frame).encode(stamp, values)
+    same_bytes(ros, ours, message)
+    decoded = decode(ros.serialize_message(message))
+    assert (decoded.stamp_ns, decoded.values.tobytes()) == (stamp, values.tobytes())
+    assert decode(ours).values.tobytes() == values.tobytes()
+    assert wire.peek_stamp(ours) == stamp
+
+
+@given(STAMPS, FRAMES)
+def test_header_as_rclpy(ros, stamp, frame):
+    message = ros_header(stamp, frame)
+    ours = wire.HeaderTemplate(frame).encode(stamp)
+    assert ours == ros.serialize_message(message)
+    assert wire.decode_header(ours) == (stamp, frame)
+
+
+@given(STAMPS)
+def test_clock_as_rclpy(ros, stamp):
+    from rosgraph_msgs.msg import Clock
+
+    ours = wire.ClockTemplate().encode(stamp)
+    assert ours == ros.serialize_message(Clock(clock=ros_time(stamp)))
+    assert wire.decode_clock(ours) == stamp
+
+
+def test_peek_sequence_stamp(ros):
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    markers = MarkerArray(markers=[Marker(header=ros_header(12_000_000_034, "map"), ns="a")])
+    assert wire.peek_sequence_stamp(ros.serialize_message(markers)) == 12_000_000_034
+    assert wire.peek_sequence_stamp(ros.serialize_message(MarkerArray())) is None
+
+
+def test_what_a_node_writes_is_read() -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("diagnostic_msgs")
+    from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
+
+    values = {"ready": "true", "ä": "", "saturated_s": "0.700"}
+    data = diagnostics(1_500_000_000, "uav3: planner", DiagnosticLevel.WARN, "holding", values)
+    found = decode_diagnostics(data)
+    assert found.stamp_ns == 1_500_000_000
+    assert found.statuses[0] == ("uav3: planner", 1, "holding", values)
+
+
+def test_a_cut_message_is_an_error_in_words() -> None:
+    pytest.importorskip("rclpy")
+    from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
+
+    data = diagnostics(0, "uav3: planner", DiagnosticLevel.OK, "", {"ready": "true"})
+    for size in range(4, len(data)):
+        with pytest.raises(WireError):
+            decode_diagnostics(data[:size])
+
+
+FRAMES = ("map", "uav3/base_link")
+
+
+def body(at=None, value=0.0):
+    values = np.zeros(13)
+    values[6] = 1.0
+    if at is not None:
+        values[at] = value
+    return values
+
+
+def odometry(values, frames=FRAMES):
+    return wire.OdometryTemplate(*frames).encode(7, values)
+
+
+@pytest.mark.parametrize("decode", [wire.OdometryDecoder(), wire.OdometryDecoder(*FRAMES)])
+def test_a_possible_state_is_what_was_sent(decode):
+    values = np.array([-1e3, 2e3, 50.0, 0.5, 0.5, -0.5, 0.5, 30.0, -30.0, 5.0, 6.0, 6.0, -6.0])
+    stamp_ns, found = decode(odometry(values))
+    assert stamp_ns == 7
+    assert found.tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e7])
+@pytest.mark.parametrize("at", range(13))
+def test_no_number_of_a_state_may_be_impossible(at, value):
+    with pytest.raises(wire.WireError, match="expected"):
+        wire.OdometryDecoder()(odometry(body(at, value)))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.9, 1.1, 2.0])
+def test_a_quaternion_has_norm_one(turn):
+    with pytest.raises(wire.WireError, match=r"quaternion of norm .*: expected 1"):
+        wire.OdometryDecoder()(odometry(body(6, turn)))
+
+
+@pytest.mark.parametrize(
+    "frames", [("odom", FRAMES[1]), ("map", "uav2/base_link"), ("map", ""), ("map", "uav3")]
+)
+def test_a_neighbour_names_its_frames(frames):
+    with pytest.raises(wire.WireError, match=r"expected 'map' and 'uav3/base_link'"):
+        wire.OdometryDecoder(*FRAMES)(odometry(body(), frames))
+    assert wire.OdometryDecoder()(odometry(body(), frames)).stamp_ns == 7
+
+
+def test_frames_are_compared_by_name_where_the_gaps_hold_old_memory():
+    data = bytearray(odometry(body(), ("map", "uav33/base_link")))
+    gap = data.index(b"base_link\0") + len(b"base_link\0")
+    assert data[gap] == 0
+    assert wire.OdometryDecoder("map", "uav33/base_link")(bytes(data)).stamp_ns == 7
+    aligned = odometry(body(), ("world", FRAMES[1]))
+    data = bytearray(aligned)
+    gap = data.index(b"world\0") + 6
+    assert data[gap : gap + 2] == bytes(2)
+    data[gap : gap + 2] = b"\xab\xcd"
+    assert wire.OdometryDecoder("world", FRAMES[1])(bytes(data)).stamp_ns == 7
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e308, -1e7])
+@pytest.mark.parametrize("at", range(6))
+def test_no_number_of_a_setpoint_may_be_impossible(at, value):
+    values = np.zeros(6)
+    values[at] = value
+    with pytest.raises(wire.WireError, match="expected"):
+        wire.checked_wrench(wire.WrenchTemplate("x").encode(0, values))
+    with pytest.raises(wire.WireError, match="expected"):
+        wire.checked_velocity(wire.VelocityTemplate("x").encode(0, values))
+
+
+def near(rows):
+    return wire.encode_near(0, "map", np.asarray(rows, dtype=float).reshape(-1, 7))
+
+
+def test_near_objects_that_can_be():
+    assert wire.checked_near(near([])).values.shape == (0, 7)
+    rows = np.ones((40, 7))
+    assert wire.checked_near(near(rows)).values.tobytes() == rows.tobytes()
+    rows[3, 0] = np.nan  # "no return"
+    assert len(wire.checked_near(near(rows)).values) == 39
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ([[0, 0, 0, -1, 0, 0, 0]], "radius -1 m: expected 0 or more"),
+        (
+            [[0, 0, 0, 1, 0, 0, 0], [1e9, 0, 0, 1, 0, 0, 0]],
+            "position 1e\\+09, 0, 0: expected finite",
+        ),
+        ([[0, 0, 0, 1, 1e5, 0, 0]], "velocity 100000, 0, 0: .*below 1000"),
+        (np.ones((1025, 7)), "1025 objects: expected at most 1024"),
+    ],
+)
+def test_near_objects_that_cannot_be(rows, words):
+    with pytest.raises(wire.WireError, match=words):
+        wire.checked_near(near(rows))
