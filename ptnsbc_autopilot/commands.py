@@ -16,6 +16,14 @@ FORCE = 21196
 https://mavlink.io/en/messages/common.html#MAV_CMD_COMPONENT_ARM_DISARM
 """
 
+FLY = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+)
+"""The commands that change how a vehicle flies."""
+
 _DONE = mavlink.MAV_RESULT_ACCEPTED
 _LATER = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 _DENIED = mavlink.MAV_RESULT_DENIED
@@ -68,7 +76,7 @@ def _arm(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int
         return int(_DONE)
     problem = vehicle.arming_problem(t)
     if problem is not None and not force:
-        vehicle.send_text(vehicle.arming_refusal_text(problem), t)
+        vehicle.send_text(f"{vehicle.refusal_text}: {problem}", t)
         return vehicle.refusal
     vehicle.arm(t)
     return int(_DONE)
@@ -97,7 +105,7 @@ def _set_home(vehicle: StandInVehicle, request: Request, link: int, t: float) ->
     """Home is set to the present position only; a stand-in needs no home elsewhere."""
     if whole(request.params[0]) != 1 or not vehicle.position_valid(t):
         return int(_DENIED)
-    vehicle.home_local_enu = vehicle.flight.position_enu.copy()
+    vehicle.home_local_enu = vehicle.flight.estimate.position_enu.copy()
     send_message(vehicle, mavlink.MAVLINK_MSG_ID_HOME_POSITION, link, t)
     return int(_DONE)
 
@@ -123,10 +131,7 @@ Command = Callable[[StandInVehicle, Request, int, float], int]
 
 COMMANDS: dict[int, Command] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
-    mavlink.MAV_CMD_DO_SET_MODE: lambda vehicle, request, _, t: vehicle.set_mode(request, t),
-    mavlink.MAV_CMD_NAV_TAKEOFF: lambda vehicle, request, _, t: vehicle.take_off(request, t),
-    mavlink.MAV_CMD_NAV_LAND: lambda vehicle, _request, _, t: vehicle.land(t),
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda vehicle, _request, _, t: vehicle.return_home(t),
+    **dict.fromkeys(FLY, lambda vehicle, request, _, t: vehicle.fly(request, t)),
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
     mavlink.MAV_CMD_REQUEST_MESSAGE: lambda vehicle, request, link, t: _send(

@@ -128,8 +128,8 @@ def state(vehicle: StandInVehicle) -> dict[str, Any]:
         "armed": vehicle.armed,
         "mode": vehicle.mode_name,
         "contact": vehicle.in_contact,
-        "position_enu_m": flight.truth_enu.tolist(),
-        "velocity_enu_m_s": flight.true_velocity_enu.tolist(),
+        "position_enu_m": flight.truth.position_enu.tolist(),
+        "velocity_enu_m_s": flight.truth.velocity_enu.tolist(),
         "origin_enu_m": flight.navigation.origin_enu.tolist(),
         "battery": flight.battery,
     }

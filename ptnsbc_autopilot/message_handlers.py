@@ -82,7 +82,7 @@ def _param_set(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> N
 
 
 def _set_mode(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
-    vehicle.set_mode(mode_request(message), t)
+    vehicle.fly(mode_request(message), t)
 
 
 HANDLERS: dict[str, Handler] = {
@@ -95,7 +95,7 @@ HANDLERS: dict[str, Handler] = {
     "PARAM_REQUEST_LIST": _param_request_list,
     "PARAM_SET": _param_set,
     "SET_MODE": _set_mode,
-    "SET_POSITION_TARGET_LOCAL_NED": lambda v, message, _, t: v.on_position_target(message, t),
-    "SET_ATTITUDE_TARGET": lambda v, message, _, t: v.on_attitude_target(message, t),
+    "SET_POSITION_TARGET_LOCAL_NED": lambda v, message, _, t: v.on_setpoint(message, t),
+    "SET_ATTITUDE_TARGET": lambda v, message, _, t: v.on_setpoint(message, t),
 }
 """By message name; anything else is ignored."""

@@ -37,9 +37,9 @@ def _lat_lon_alt(vehicle: StandInVehicle, local_enu: Array) -> tuple[int, int, i
 
 def _attitude(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
-    euler = euler_of(attitude_swap(flight.attitude_enu))
+    euler = euler_of(attitude_swap(flight.estimate.attitude_enu))
     return mavlink.MAVLink_attitude_message(
-        vehicle.clock.ms(t), *euler, *body_swap(flight.rates_flu).tolist()
+        vehicle.clock.ms(t), *euler, *body_swap(flight.estimate.rates_flu).tolist()
     )
 
 
@@ -47,8 +47,8 @@ def _attitude_quaternion(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
     return mavlink.MAVLink_attitude_quaternion_message(
         vehicle.clock.ms(t),
-        *attitude_swap(flight.attitude_enu),
-        *body_swap(flight.rates_flu).tolist(),
+        *attitude_swap(flight.estimate.attitude_enu),
+        *body_swap(flight.estimate.rates_flu).tolist(),
         [0.0] * 4,
     )
 
@@ -57,15 +57,15 @@ def _local_position(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
     return mavlink.MAVLink_local_position_ned_message(
         vehicle.clock.ms(t),
-        *world_swap(flight.position_enu).tolist(),
-        *world_swap(flight.velocity_enu).tolist(),
+        *world_swap(flight.estimate.position_enu).tolist(),
+        *world_swap(flight.estimate.velocity_enu).tolist(),
     )
 
 
 def _body_velocity(vehicle: StandInVehicle) -> Array:
     """Estimated velocity (3,) in FRD."""
-    w, x, y, z = vehicle.flight.attitude_enu
-    u, v, s = (float(value) for value in vehicle.flight.velocity_enu)
+    w, x, y, z = vehicle.flight.estimate.attitude_enu
+    u, v, s = (float(value) for value in vehicle.flight.estimate.velocity_enu)
     ahead = (1 - 2 * (y * y + z * z)) * u + 2 * (x * y + w * z) * v + 2 * (x * z - w * y) * s
     left = 2 * (x * y - w * z) * u + (1 - 2 * (x * x + z * z)) * v + 2 * (y * z + w * x) * s
     up = 2 * (x * z + w * y) * u + 2 * (y * z - w * x) * v + (1 - 2 * (x * x + y * y)) * s
@@ -86,10 +86,10 @@ def _odometry(vehicle: StandInVehicle, t: float) -> Any:
         vehicle.clock.us(t),
         mavlink.MAV_FRAME_LOCAL_NED,
         mavlink.MAV_FRAME_BODY_FRD,
-        *world_swap(flight.position_enu).tolist(),
-        list(attitude_swap(flight.attitude_enu)),
+        *world_swap(flight.estimate.position_enu).tolist(),
+        list(attitude_swap(flight.estimate.attitude_enu)),
         *_body_velocity(vehicle).tolist(),
-        *body_swap(flight.rates_flu).tolist(),
+        *body_swap(flight.estimate.rates_flu).tolist(),
         _covariance(quality.position_m**2),
         _covariance(quality.velocity_m_s**2),
         vehicle.boots % 256,
@@ -100,14 +100,14 @@ def _odometry(vehicle: StandInVehicle, t: float) -> Any:
 
 def _global_position(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
-    velocity = world_swap(flight.velocity_enu) * 100.0
-    above = flight.position_enu[2] - vehicle.home_local_enu[2]
+    velocity = world_swap(flight.estimate.velocity_enu) * 100.0
+    above = flight.estimate.position_enu[2] - vehicle.home_local_enu[2]
     return mavlink.MAVLink_global_position_int_message(
         vehicle.clock.ms(t),
-        *_lat_lon_alt(vehicle, flight.position_enu),
+        *_lat_lon_alt(vehicle, flight.estimate.position_enu),
         round(float(above) * 1e3),
         *(round(v) for v in velocity.tolist()),
-        round(flight.heading_ned * 18000.0 / 3.141592653589793) % 36000,
+        round(flight.estimate.heading_ned * 18000.0 / 3.141592653589793) % 36000,
     )
 
 
@@ -118,7 +118,7 @@ def _gps_raw(vehicle: StandInVehicle, t: float) -> Any:
     return mavlink.MAVLink_gps_raw_int_message(
         vehicle.clock.us(t),
         fix,
-        *(_lat_lon_alt(vehicle, vehicle.flight.position_enu) if has else (0, 0, 0)),
+        *(_lat_lon_alt(vehicle, vehicle.flight.estimate.position_enu) if has else (0, 0, 0)),
         round(error_m * 100.0) if has else _UNKNOWN_16,
         round(error_m * 150.0) if has else _UNKNOWN_16,
         _UNKNOWN_16,
@@ -147,7 +147,7 @@ def _origin(vehicle: StandInVehicle, t: float) -> Any:
 def _true_place(vehicle: StandInVehicle) -> tuple[int, int, float]:
     """True latitude, longitude [1e-7 deg] and altitude [m]."""
     flight = vehicle.flight
-    point = geodetic(vehicle.body.datum, flight.truth_enu, vehicle.earth_radius_m)
+    point = geodetic(vehicle.body.datum, flight.truth.position_enu, vehicle.earth_radius_m)
     return round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7), point.altitude_m
 
 
@@ -157,12 +157,12 @@ def _hil_state(vehicle: StandInVehicle, t: float) -> Any:
     latitude, longitude, altitude_m = _true_place(vehicle)
     return mavlink.MAVLink_hil_state_quaternion_message(
         vehicle.clock.us(t),
-        list(attitude_swap(flight.true_attitude_enu)),
-        *body_swap(flight.rates_flu).tolist(),
+        list(attitude_swap(flight.truth.attitude_enu)),
+        *body_swap(flight.estimate.rates_flu).tolist(),
         latitude,
         longitude,
         round(altitude_m * 1e3),
-        *(round(100.0 * v) for v in world_swap(flight.true_velocity_enu).tolist()),
+        *(round(100.0 * v) for v in world_swap(flight.truth.velocity_enu).tolist()),
         *[0] * 5,
     )
 
@@ -171,18 +171,18 @@ def _sim_state(vehicle: StandInVehicle, _t: float) -> Any:
     """The truth, as ArduPilot's simulations tell it."""
     flight = vehicle.flight
     latitude, longitude, altitude_m = _true_place(vehicle)
-    attitude = attitude_swap(flight.true_attitude_enu)
+    attitude = attitude_swap(flight.truth.attitude_enu)
     return mavlink.MAVLink_sim_state_message(
         *attitude,
         *euler_of(attitude),
         *[0.0] * 3,
-        *body_swap(flight.rates_flu).tolist(),
+        *body_swap(flight.estimate.rates_flu).tolist(),
         latitude * 1e-7,
         longitude * 1e-7,
         altitude_m,
         0.0,
         0.0,
-        *world_swap(flight.true_velocity_enu).tolist(),
+        *world_swap(flight.truth.velocity_enu).tolist(),
         latitude,
         longitude,
     )

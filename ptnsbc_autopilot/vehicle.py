@@ -1,4 +1,4 @@
-"""State of one stand-in: power, arming, parameters, outgoing messages, and the hooks that each firmware fills.
+"""State of one stand-in: power, arming, parameters, outgoing messages, and the rules that each firmware fills in.
 
 It has neither sockets nor a clock: every call gets the time, in seconds of any steady clock, so tests run faster
 than real time. `controller` moves it through time and passes messages to it.
@@ -71,10 +71,8 @@ class Faults:
     duplicate: bool = False  # a second sender uses the same system id
 
 
-class StandInVehicle(ABC):
-    """One flight controller and the vehicle under it."""
-
-    # Constants and rules of one firmware.
+class Firmware(ABC):
+    """The constants and rules that each firmware fills in."""
 
     mav_type: ClassVar[int] = mavlink.MAV_TYPE_QUADROTOR
     autopilot: ClassVar[int]
@@ -83,6 +81,8 @@ class StandInVehicle(ABC):
     earth_radius_m: ClassVar[float] = PX4_RADIUS_M  # of its projection
     drag_1_s: ClassVar[float] = 0.0  # specific drag of the vehicle that was measured
     text_end: ClassVar[str] = ""
+    text_to_companions: ClassVar[bool] = True  # also to links without a ground station
+    refusal_text: ClassVar[str] = "Arm"
     refusal: ClassVar[int]  # MAV_RESULT of a refused arming request
     rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
     ready_s: ClassVar[tuple[float, float]]  # from boot to a valid position, at least and at most
@@ -114,10 +114,6 @@ class StandInVehicle(ABC):
     def arming_problem(self, t: float) -> str | None:
         """The first failed arming check; None when it would arm."""
 
-    def arming_refusal_text(self, problem: str) -> str:
-        """STATUSTEXT of a refused arming request."""
-        return f"Arm: {problem}"
-
     @abstractmethod
     def on_boot(self, t: float) -> None:
         """Set mode and memory after a boot."""
@@ -131,32 +127,16 @@ class StandInVehicle(ABC):
         """The motors have been switched off."""
 
     @abstractmethod
-    def set_mode(self, request: Request, t: float) -> int:
-        """DO_SET_MODE; MAV_RESULT."""
-
-    @abstractmethod
-    def take_off(self, request: Request, t: float) -> int:
-        """NAV_TAKEOFF; MAV_RESULT."""
-
-    @abstractmethod
-    def land(self, t: float) -> int:
-        """NAV_LAND; MAV_RESULT."""
-
-    @abstractmethod
-    def return_home(self, t: float) -> int:
-        """NAV_RETURN_TO_LAUNCH; MAV_RESULT."""
+    def fly(self, request: Request, t: float) -> int:
+        """DO_SET_MODE, NAV_TAKEOFF, NAV_LAND or NAV_RETURN_TO_LAUNCH; MAV_RESULT."""
 
     @abstractmethod
     def set_mode_by_rc(self, mode: str, t: float) -> bool:
         """A pilot's transmitter selects a mode by name; False when there is none of that name."""
 
     @abstractmethod
-    def on_position_target(self, message: Any, t: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED."""
-
-    @abstractmethod
-    def on_attitude_target(self, message: Any, t: float) -> None:
-        """SET_ATTITUDE_TARGET."""
+    def on_setpoint(self, message: Any, t: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED or SET_ATTITUDE_TARGET."""
 
     @abstractmethod
     def update_mode(self, t: float) -> None:
@@ -166,7 +146,9 @@ class StandInVehicle(ABC):
     def airframe_target(self, t: float) -> Array:
         """The target (22,) of the airframe until the next step."""
 
-    # State of every firmware.
+
+class StandInVehicle(Firmware):
+    """One flight controller and the vehicle under it."""
 
     def __init__(
         self,
@@ -196,7 +178,7 @@ class StandInVehicle(ABC):
         self.armed = False
         self.armed_t = t
         self.lifted = False  # has left the ground since it was armed
-        self.home_local_enu: Array = self.flight.position_enu.copy()
+        self.home_local_enu: Array = self.flight.estimate.position_enu.copy()
         self.gcs_heard: dict[int, float] = {}  # time of the last ground station's HEARTBEAT by link
         self.outgoing: list[Outgoing] = []
         self.slow_queue: deque[Outgoing] = deque()  # one message per step
@@ -241,7 +223,7 @@ class StandInVehicle(ABC):
         self.slow_queue.clear()
         self.gcs_heard.clear()
         self.armed = self.lifted = False
-        self.home_local_enu = self.flight.position_enu.copy()
+        self.home_local_enu = self.flight.estimate.position_enu.copy()
         self.on_boot(t)
 
     def reboot(self, t: float) -> None:
@@ -255,7 +237,7 @@ class StandInVehicle(ABC):
     def arm(self, t: float) -> None:
         """Switch the motors on, without checks."""
         self.armed, self.armed_t, self.lifted = True, t, False
-        self.home_local_enu = self.flight.position_enu.copy()
+        self.home_local_enu = self.flight.estimate.position_enu.copy()
         self.on_armed(t)
         self.log("armed")
 
@@ -289,7 +271,8 @@ class StandInVehicle(ABC):
 
     def text_links(self, t: float) -> list[int]:
         """Links that get STATUSTEXT."""
-        return list(range(len(self.rates_hz)))
+        every = range(len(self.rates_hz))
+        return [link for link in every if self.text_to_companions or self.gcs_on(link, t)]
 
     def send_text(self, text: str, t: float, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
         """Send STATUSTEXT in chunks of 50 bytes, and log the text."""

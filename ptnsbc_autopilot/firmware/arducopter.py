@@ -32,6 +32,7 @@ _NAMES = {
     BRAKE: "BRAKE",
 }
 MODES = {name: number for number, name in _NAMES.items()}
+_MODE_OF = {mavlink.MAV_CMD_NAV_LAND: LAND, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: RTL}
 _NEED_POSITION = (GUIDED, LOITER, RTL, BRAKE)
 _MANUAL = (STABILIZE, ALT_HOLD)
 
@@ -93,19 +94,6 @@ class ArduCopter(FlightController):
             path_tilt_gain=_PATH_TILT_GAIN_1_S,
         )
 
-    def limits(self) -> WaypointLimits:
-        """Limits of GUIDED."""
-        p = self.parameters
-        return WaypointLimits(
-            p["WP_SPD"],
-            p["WP_SPD_UP"],
-            p["WP_SPD_DN"],
-            p["WP_ACC"],
-            p["WP_ACC_Z"],
-            p["PSC_JERK_NE"],
-            p["PSC_JERK_D"],
-        )
-
     # State.
 
     def on_boot(self, t: float) -> None:
@@ -115,13 +103,8 @@ class ArduCopter(FlightController):
         self._announced = False
         self._auto_armed = False  # whether a request leads off the ground
         self._land_complete = True
-        self._hold_point = targets.TargetPoint(self.flight.position_enu.copy(), 0.0)
-        self._guided = Guided(self._estimate(), t)
-
-    def _estimate(self) -> EstimatedState:
-        flight = self.flight
-        position, velocity = flight.position_enu.copy(), flight.velocity_enu.copy()
-        return EstimatedState(position, velocity, flight.heading_ned)
+        self._hold_point = targets.TargetPoint(self.flight.estimate.position_enu.copy(), 0.0)
+        self._guided = Guided(_estimate(self), t)
 
     @property
     def mode_name(self) -> str:
@@ -170,7 +153,7 @@ class ArduCopter(FlightController):
     def on_armed(self, t: float) -> None:
         """On the ground, motors at idle, without a take-off request."""
         self._auto_armed = False
-        self._guided = Guided(self._estimate(), t)
+        self._guided = Guided(_estimate(self), t)
 
     def on_disarmed(self, t: float) -> None:
         """The mode does not change."""
@@ -182,39 +165,27 @@ class ArduCopter(FlightController):
             return False
         if mode != self.mode:
             self.log(f"mode {_NAMES[mode]}")
-        state = self._estimate()
+        state = _estimate(self)
         self.mode = mode
-        self._hold_point = targets.TargetPoint(state.position, self.flight.yaw_enu)
+        self._hold_point = targets.TargetPoint(state.position, self.flight.estimate.yaw_enu)
         self._hold_point = self._hold_point.after_braking(state.velocity)
         self._guided = Guided(state, t)
         return True
 
-    def set_mode(self, request: Request, t: float) -> int:
-        """param1 selects custom modes, param2 is the mode."""
-        if not custom_mode(request):
+    def fly(self, request: Request, t: float) -> int:
+        """A mode by its number in param2; or take off in GUIDED, armed and landed, to param7 above home."""
+        command, params = request.command, request.params
+        if command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            ready = self.mode == GUIDED and self.armed and self._land_complete
+            if not ready or not math.isfinite(params[6]) or params[6] <= 0.0:
+                return _FAILED
+            self._guided.take_off(_estimate(self), float(self.home_local_enu[2]) + params[6])
+            self._auto_armed = True
+            return _DONE
+        if command == mavlink.MAV_CMD_DO_SET_MODE and not custom_mode(request):
             return _UNSUPPORTED
-        mode = whole(request.params[1])
-        if mode not in _NAMES:
-            return _FAILED
-        return _DONE if self._change_mode(mode, t) else _FAILED
-
-    def take_off(self, request: Request, t: float) -> int:
-        """Only in GUIDED, armed and landed; param7 is the height above home."""
-        height = request.params[6]
-        ready = self.mode == GUIDED and self.armed and self._land_complete
-        if not ready or not math.isfinite(height) or height <= 0.0:
-            return _FAILED
-        self._guided.take_off(self._estimate(), float(self.home_local_enu[2]) + height)
-        self._auto_armed = True
-        return _DONE
-
-    def land(self, t: float) -> int:
-        """Change the mode."""
-        return _DONE if self._change_mode(LAND, t) else _FAILED
-
-    def return_home(self, t: float) -> int:
-        """Change the mode."""
-        return _DONE if self._change_mode(RTL, t) else _FAILED
+        mode = _MODE_OF.get(command, whole(params[1]))
+        return _DONE if mode in _NAMES and self._change_mode(mode, t) else _FAILED
 
     def set_mode_by_rc(self, mode: str, t: float) -> bool:
         """A transmitter's switch selects a mode; the sticks are centred."""
@@ -224,21 +195,21 @@ class ArduCopter(FlightController):
         self._change_mode(MODES[mode.upper()], t)
         return True
 
-    # Setpoints; outside GUIDED they are ignored without an answer.
+    def on_setpoint(self, message: Any, t: float) -> None:
+        """Outside GUIDED it is ignored without an answer. One that is not valid stops the vehicle.
 
-    def on_position_target(self, message: Any, t: float) -> None:
-        """It ends a take-off, on the ground too. One that is not valid stops the vehicle."""
-        state = self._estimate()
-        if self.mode == GUIDED and not self._guided.take_position_target(message, state, t):
-            self._guided = Guided(state, t)
-
-    def on_attitude_target(self, message: Any, t: float) -> None:
-        """A positive climb rate or thrust leads off the ground."""
+        A position target ends a take-off, on the ground too. A positive climb rate or thrust leads off the ground.
+        """
         if self.mode != GUIDED:
             return
+        state = _estimate(self)
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            if not self._guided.take_position_target(message, state, t):
+                self._guided = Guided(state, t)
+            return
         as_thrust = bool(whole(self.parameters["GUID_OPTIONS"]) & THRUST_IS_THRUST)
-        if not self._guided.take_attitude_target(message, self.limits(), as_thrust, t):
-            self._guided = Guided(self._estimate(), t)
+        if not self._guided.take_attitude_target(message, _limits(self), as_thrust, t):
+            self._guided = Guided(state, t)
         if self.armed and self._guided.climbs and message.thrust > 0.0:
             self._auto_armed = True
 
@@ -274,34 +245,45 @@ class ArduCopter(FlightController):
         """Motors off, at idle, or the target of the mode."""
         if not self.armed:
             return targets.OFF_TARGET
-        flies = not self._land_complete or self._leaves_ground()
+        # It leaves the ground by a take-off, or by an attitude target that climbs.
+        leaves = self._guided.submode is Submode.TAKE_OFF or self._guided.climbs
+        flies = not self._land_complete or (self.mode == GUIDED and self._auto_armed and leaves)
         if t - self.armed_t < _SPOOL_UP_S or not flies:
             return targets.IDLE_TARGET
         if self.mode == GUIDED:
             timeout_s = self.parameters["GUID_TIMEOUT"]
-            return self._guided.airframe_target(self._estimate(), self.limits(), timeout_s, t)
+            return self._guided.airframe_target(_estimate(self), _limits(self), timeout_s, t)
         if self.mode in _MANUAL and not self._transmitter:
             return targets.sink(_SINK_M_S)
+        if self.mode == LAND and not self.position_valid(t):
+            return targets.sink(_SINK_M_S)
+        position, home = self.flight.estimate.position_enu, self.home_local_enu
+        slow = position[2] - home[2] < _SLOW_BELOW_M
+        down_m_s = self.parameters["LAND_SPD_MS" if slow else "WP_SPD_DN"]
         if self.mode == LAND:
-            if not self.position_valid(t):
-                return targets.sink(_SINK_M_S)
-            return targets.climb(self._hold_point, -self._landing_speed())
+            return targets.climb(self._hold_point, -down_m_s)
         if self.mode == RTL:
-            return self._way_home()
+            height = home[2] + self.parameters["RTL_ALT_M"]
+            way = targets.return_point(position, home, height, self._hold_point)
+            return targets.climb(way, -down_m_s) if way.over_home else targets.hold(way)
         return targets.hold(self._hold_point)
 
-    def _leaves_ground(self) -> bool:
-        """True if it may leave the ground: by a take-off, or by an attitude target that climbs."""
-        guided = self.mode == GUIDED and self._auto_armed
-        return guided and (self._guided.submode is Submode.TAKE_OFF or self._guided.climbs)
 
-    def _landing_speed(self) -> float:
-        above = self.flight.position_enu[2] - self.home_local_enu[2]
-        return self.parameters["LAND_SPD_MS" if above < _SLOW_BELOW_M else "WP_SPD_DN"]
+def _estimate(vehicle: ArduCopter) -> EstimatedState:
+    estimate = vehicle.flight.estimate
+    position, velocity = estimate.position_enu.copy(), estimate.velocity_enu.copy()
+    return EstimatedState(position, velocity, estimate.heading_ned)
 
-    def _way_home(self) -> Array:
-        height = self.home_local_enu[2] + self.parameters["RTL_ALT_M"]
-        way = targets.return_point(
-            self.flight.position_enu, self.home_local_enu, height, self._hold_point
-        )
-        return targets.climb(way, -self._landing_speed()) if way.over_home else targets.hold(way)
+
+def _limits(vehicle: ArduCopter) -> WaypointLimits:
+    """Limits of GUIDED."""
+    p = vehicle.parameters
+    return WaypointLimits(
+        p["WP_SPD"],
+        p["WP_SPD_UP"],
+        p["WP_SPD_DN"],
+        p["WP_ACC"],
+        p["WP_ACC_Z"],
+        p["PSC_JERK_NE"],
+        p["PSC_JERK_D"],
+    )

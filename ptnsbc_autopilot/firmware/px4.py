@@ -24,6 +24,7 @@ from ptnsbc_autopilot.firmware.px4_modes import (
 )
 from ptnsbc_autopilot.firmware.px4_offboard import (
     LIFT_SHARE_OF_RAMP,
+    OffboardSetpoint,
     OffboardStream,
     TakeoffRamp,
     read_attitude,
@@ -32,6 +33,7 @@ from ptnsbc_autopilot.firmware.px4_offboard import (
 from ptnsbc_autopilot.parameters import PX4, AutopilotParameters
 from ptnsbc_autopilot.physics import airframe, targets
 from ptnsbc_autopilot.physics.airframe import LoopGains
+from ptnsbc_autopilot.physics.body import VehiclePhysics
 from ptnsbc_autopilot.vehicle import HeartbeatFields, Request
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -42,6 +44,7 @@ STREAM_BEFORE_S = 1.0
 https://docs.px4.io/main/en/flight_modes/offboard
 """
 
+_MODE_OF = {mavlink.MAV_CMD_NAV_LAND: LAND, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: RTL}
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _LATER = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -65,6 +68,8 @@ class Px4(FlightController):
     version_word = 1 << 24 | 16 << 16
     refusal = _LATER
     text_end = "\t"
+    text_to_companions = False
+    refusal_text = "Arming denied"
     ready_s = (3.0, 8.0)
     drag_1_s = 1.0  # of its built-in simulated quadrotor
     rates_hz = RATES_HZ
@@ -106,12 +111,9 @@ class Px4(FlightController):
         self._transmitter = False
         self._offboard = OffboardStream()
         self._takeoff = TakeoffRamp()
-        self._hold_point = self._here()
+        self._hold_point = _here(self.flight)
         self._takeoff_height = 0.0
         self._last_charge = 1.0
-
-    def _here(self) -> targets.TargetPoint:
-        return targets.TargetPoint(self.flight.position_enu.copy(), self.flight.yaw_enu)
 
     @property
     def mode_name(self) -> str:
@@ -142,14 +144,6 @@ class Px4(FlightController):
             return int(mavlink.MAV_LANDED_STATE_LANDING)
         return int(mavlink.MAV_LANDED_STATE_IN_AIR)
 
-    def arming_refusal_text(self, problem: str) -> str:
-        """The text of PX4."""
-        return f"Arming denied: {problem}"
-
-    def text_links(self, t: float) -> list[int]:
-        """Only the links with a ground station."""
-        return [link for link in super().text_links(t) if self.gcs_on(link, t)]
-
     # Arming and modes.
 
     def arming_problem(self, t: float) -> str | None:
@@ -162,7 +156,7 @@ class Px4(FlightController):
             self.gcs_on(link, t) for link in self.gcs_heard
         ):
             return "No connection to the ground control station"
-        if self.mode == OFFBOARD and not self._offboard_ready(t):
+        if self.mode == OFFBOARD and not _offboard_alive(self, t, STREAM_BEFORE_S):
             return "No offboard signal"
         if self.mode in NEED_POSITION and not self.position_valid(t):
             return "Global position required"
@@ -173,7 +167,7 @@ class Px4(FlightController):
     def on_armed(self, t: float) -> None:
         """On the ground, motors at idle."""
         self._takeoff = TakeoffRamp()
-        self._hold_point = self._here()
+        self._hold_point = _here(self.flight)
 
     def on_disarmed(self, t: float) -> None:
         """After take-off, landing or return the mode before them is restored."""
@@ -182,89 +176,58 @@ class Px4(FlightController):
         self.active = self.mode
         self._takeoff = TakeoffRamp()
 
-    def _can_run(self, mode: Px4Mode, t: float) -> bool:
-        if mode == OFFBOARD:
-            return self._offboard_ready(t)
-        if mode in MANUAL_MODES and not self._transmitter:
-            return False
-        return mode not in NEED_POSITION or self.position_valid(t) or mode == LAND
-
-    def _change_mode(self, mode: Px4Mode, t: float) -> int:
+    def change_mode(self, mode: Px4Mode, t: float) -> int:
         """Change the mode; a disarmed vehicle takes any mode, and arming checks it."""
-        if self.armed and not self._can_run(mode, t):
+        if self.armed and not _can_run(self, mode, t):
             self.send_text(f"Switching to mode '{mode.name}' is currently not available", t)
             return _LATER
         if mode != self.mode:
             self.log(f"mode {mode.name}")
-        self.mode = mode
-        self.active = mode
-        self._hold_point = self._here()
+        self.mode = self.active = mode
+        self._hold_point = _here(self.flight)
         if mode not in TRANSIENT_MODES:
             self._mode_after_disarm = mode
         return _DONE
 
-    def set_mode(self, request: Request, t: float) -> int:
-        """param1 selects custom modes, param2 and param3 are main and sub mode."""
-        if not custom_mode(request):
-            return _DENIED
-        main, sub = whole(request.params[1]), whole(request.params[2])
-        for mode in MODES:
-            if (mode.main, mode.sub) == (main, sub):
-                return self._change_mode(mode, t)
-        return _DENIED
-
-    def take_off(self, request: Request, t: float) -> int:
-        """Change the mode; param7 is the height above sea level, NaN means MIS_TAKEOFF_ALT."""
-        result = self._change_mode(TAKEOFF, t)
-        if result == _DONE:
-            wanted = request.params[6]
-            ground = self.flight.body.datum.altitude_m + self.flight.navigation.origin_enu[2]
-            least = self.home_local_enu[2] + self.parameters["MIS_TAKEOFF_ALT"]
-            self._takeoff_height = float(wanted - ground if math.isfinite(wanted) else least)
-        return result
-
-    def land(self, t: float) -> int:
-        """Change the mode."""
-        return self._change_mode(LAND, t)
-
-    def return_home(self, t: float) -> int:
-        """Change the mode."""
-        return self._change_mode(RTL, t)
+    def fly(self, request: Request, t: float) -> int:
+        """DO_SET_MODE: param2 and param3 are main and sub mode. NAV_TAKEOFF: param7 is the height above sea level."""
+        command, params = request.command, request.params
+        if command in _MODE_OF:
+            return self.change_mode(_MODE_OF[command], t)
+        if command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            result = self.change_mode(TAKEOFF, t)
+            if result == _DONE:
+                ground = self.flight.body.datum.altitude_m + self.flight.navigation.origin_enu[2]
+                least = self.home_local_enu[2] + self.parameters["MIS_TAKEOFF_ALT"]
+                given = math.isfinite(params[6])
+                self._takeoff_height = float(params[6] - ground if given else least)
+            return result
+        numbers = (whole(params[1]), whole(params[2]))
+        known = [mode for mode in MODES if (mode.main, mode.sub) == numbers]
+        return self.change_mode(known[0], t) if known and custom_mode(request) else _DENIED
 
     def set_mode_by_rc(self, mode: str, t: float) -> bool:
         """A transmitter appears, and its switch selects a mode; the sticks are centred."""
         for known in MODES:
             if known.name == mode.upper():
                 self._transmitter = True
-                self._change_mode(known, t)
+                self.change_mode(known, t)
                 return True
         return False
 
     # Setpoints.
 
-    def on_position_target(self, message: Any, t: float) -> None:
+    def on_setpoint(self, message: Any, t: float) -> None:
         """Frames and masks as PX4's receiver takes them; a wrong one does not keep offboard alive."""
-        heading = self.flight.heading_ned
-        read = read_position_target(message, heading, self.flight.position_enu[2])
+        if message.get_type() == "SET_ATTITUDE_TARGET":  # attitude or body rates, with a thrust
+            read: OffboardSetpoint | str | None = read_attitude(message)
+        else:
+            estimate = self.flight.estimate
+            read = read_position_target(message, estimate.heading_ned, estimate.position_enu[2])
         if isinstance(read, str):
             self.send_text(read, t)
-        else:
+        elif read is not None:
             self._offboard.take(read, t, self.parameters["COM_OF_LOSS_T"])
-
-    def on_attitude_target(self, message: Any, t: float) -> None:
-        """Attitude or body rates, with a thrust."""
-        read = read_attitude(message)
-        if read is not None:
-            self._offboard.take(read, t, self.parameters["COM_OF_LOSS_T"])
-
-    def _offboard_alive(self, t: float) -> bool:
-        """True if setpoints arrive, and the position is valid if they need it."""
-        if not self._offboard.fresh(t, self.parameters["COM_OF_LOSS_T"]):
-            return False
-        return not self._offboard.needs_position or self.position_valid(t)
-
-    def _offboard_ready(self, t: float) -> bool:
-        return self._offboard_alive(t) and self._offboard.streamed_s(t) >= STREAM_BEFORE_S
 
     # Rules that act without a command.
 
@@ -272,56 +235,25 @@ class Px4(FlightController):
         """Failsafes, end of take-off, disarming, battery."""
         if not self.armed:
             return
-        self._apply_failsafes(t)
-        if (
-            self.active == TAKEOFF
-            and self._takeoff_height - self.flight.position_enu[2] < _ARRIVED_M
-        ):
-            self._change_mode(HOLD, t)
-        self._check_landed(t)
-        self._check_battery(t)
-
-    def _apply_failsafes(self, t: float) -> None:
-        """The active mode: the requested one while it can run, else that of the failsafe."""
-        wanted = self.mode
-        if wanted == OFFBOARD and not self._offboard_alive(t):
-            action = int(self.parameters["COM_OBL_RC_ACT"])
-            if action not in OFFBOARD_LOSS:
-                self.disarm("offboard signal lost", t)
-                return
-            wanted = OFFBOARD_LOSS[action]
-        if wanted in NEED_POSITION and not self.position_valid(t):
-            wanted = DESCEND
-        if wanted == self.active:
-            return
-        if wanted == self.mode:
-            self.send_text(f"Failsafe cleared: back to {wanted.name}", t)
-        else:
-            self.send_text(f"Failsafe activated: {wanted.name}", t)
-        self.active = wanted
-        self._hold_point = self._here().after_braking(self.flight.velocity_enu)
-
-    def _check_landed(self, t: float) -> None:
+        _apply_failsafes(self, t)
+        climb_m = self._takeoff_height - self.flight.estimate.position_enu[2]
+        if self.active == TAKEOFF and climb_m < _ARRIVED_M:
+            self.change_mode(HOLD, t)
         if self._takeoff.update(self.in_contact, self.landed):
             self.log("landed")
-        if not self.lifted:
-            limit = self.parameters["COM_DISARM_PRFLT"]
-            if 0.0 < limit < t - self.armed_t:
-                self.disarm("not taken off in time", t)
-        elif self.landed:
-            limit = self.parameters["COM_DISARM_LAND"]
-            if 0.0 < limit < self.flight.standing_s - 1.0:
-                self.disarm("landed", t)
-
-    def _check_battery(self, t: float) -> None:
+        waits_s, stands_s = self.parameters["COM_DISARM_PRFLT"], self.parameters["COM_DISARM_LAND"]
+        if not self.lifted and 0.0 < waits_s < t - self.armed_t:
+            self.disarm("not taken off in time", t)
+        elif self.lifted and self.landed and 0.0 < stands_s < self.flight.standing_s - 1.0:
+            self.disarm("landed", t)
         charge, before = self.flight.battery, self._last_charge
         self._last_charge = charge
         if charge <= self.parameters["BAT_LOW_THR"] < before:
             self.send_text("Low battery level, return advised", t)
         if charge <= self.parameters["BAT_CRIT_THR"] < before:
             self.send_text("Critical battery level, land now", t)
-            if self.parameters["COM_LOW_BAT_ACT"] >= 2.0 and self.in_contact is False:
-                self._change_mode(LAND, t)
+            if self.parameters["COM_LOW_BAT_ACT"] >= 2.0 and not self.in_contact:
+                self.change_mode(LAND, t)
 
     # The target of the airframe.
 
@@ -331,37 +263,73 @@ class Px4(FlightController):
             return targets.OFF_TARGET
         if t - self.armed_t < self.parameters["COM_SPOOLUP_TIME"]:
             return targets.IDLE_TARGET
-        target = self._mode_target()
+        target = _mode_target(self)
         if target[airframe.KIND] != airframe.TRAJECTORY or self._takeoff.flying:
             return target
-        climb = (
-            self._offboard.setpoint.climbs if self.active == OFFBOARD else self.active == TAKEOFF
-        )
+        offboard = self.active == OFFBOARD
+        climbs = self._offboard.setpoint.climbs if offboard else self.active == TAKEOFF
         lift_s = LIFT_SHARE_OF_RAMP * self.parameters["MPC_TKO_RAMP_T"]
-        return self._takeoff.target(target, climb, self.flight.hover_share, lift_s, t)
+        return self._takeoff.target(target, climbs, self.flight.hover_share, lift_s, t)
 
-    def _mode_target(self) -> Array:
-        mode, place = self.active, self._hold_point
-        if mode == OFFBOARD:
-            return self._offboard.setpoint.target
-        if mode == DESCEND or (mode in MANUAL_MODES and not self._transmitter):
-            return targets.sink(_SINK_M_S)
-        if mode == LAND:
-            return targets.climb(place, -self._landing_speed())
-        if mode == RTL:
-            return self._way_home()
-        if mode == TAKEOFF:
-            climb = self._takeoff_height - self.flight.position_enu[2]
-            return targets.climb(place, min(float(climb), self.parameters["MPC_TKO_SPEED"]))
-        return targets.hold(place)
 
-    def _landing_speed(self) -> float:
-        above = self.flight.position_enu[2] - self.home_local_enu[2]
-        return self.parameters["MPC_LAND_SPEED"] if above < _SLOW_BELOW_M else _FAST_DOWN_M_S
+def _here(flight: VehiclePhysics) -> targets.TargetPoint:
+    return targets.TargetPoint(flight.estimate.position_enu.copy(), flight.estimate.yaw_enu)
 
-    def _way_home(self) -> Array:
-        height = self.home_local_enu[2] + self.parameters["RTL_RETURN_ALT"]
-        way = targets.return_point(
-            self.flight.position_enu, self.home_local_enu, height, self._hold_point
-        )
-        return targets.climb(way, -self._landing_speed()) if way.over_home else targets.hold(way)
+
+def _offboard_alive(px4: Px4, t: float, streamed_s: float = 0.0) -> bool:
+    """True if setpoints arrive, for so long already, and the position is valid if they need it."""
+    offboard = px4._offboard
+    if not offboard.fresh(t, px4.parameters["COM_OF_LOSS_T"]):
+        return False
+    needs = offboard.needs_position and not px4.position_valid(t)
+    return not needs and offboard.streamed_s(t) >= streamed_s
+
+
+def _can_run(px4: Px4, mode: Px4Mode, t: float) -> bool:
+    if mode == OFFBOARD:
+        return _offboard_alive(px4, t, STREAM_BEFORE_S)
+    if mode in MANUAL_MODES and not px4._transmitter:
+        return False
+    return mode not in NEED_POSITION or px4.position_valid(t) or mode == LAND
+
+
+def _apply_failsafes(px4: Px4, t: float) -> None:
+    """The active mode: the requested one while it can run, else that of the failsafe."""
+    wanted = px4.mode
+    if wanted == OFFBOARD and not _offboard_alive(px4, t):
+        action = int(px4.parameters["COM_OBL_RC_ACT"])
+        if action not in OFFBOARD_LOSS:
+            px4.disarm("offboard signal lost", t)
+            return
+        wanted = OFFBOARD_LOSS[action]
+    if wanted in NEED_POSITION and not px4.position_valid(t):
+        wanted = DESCEND
+    if wanted == px4.active:
+        return
+    if wanted == px4.mode:
+        px4.send_text(f"Failsafe cleared: back to {wanted.name}", t)
+    else:
+        px4.send_text(f"Failsafe activated: {wanted.name}", t)
+    px4.active = wanted
+    px4._hold_point = _here(px4.flight).after_braking(px4.flight.estimate.velocity_enu)
+
+
+def _mode_target(px4: Px4) -> Array:
+    """The target (22,) of the active mode, once the vehicle may lift."""
+    mode, place, p = px4.active, px4._hold_point, px4.parameters
+    position, home = px4.flight.estimate.position_enu, px4.home_local_enu
+    if mode == OFFBOARD:
+        return px4._offboard.setpoint.target
+    if mode == DESCEND or (mode in MANUAL_MODES and not px4._transmitter):
+        return targets.sink(_SINK_M_S)
+    if mode == TAKEOFF:
+        climb = px4._takeoff_height - position[2]
+        return targets.climb(place, min(float(climb), p["MPC_TKO_SPEED"]))
+    slow = position[2] - home[2] < _SLOW_BELOW_M
+    down_m_s = p["MPC_LAND_SPEED"] if slow else _FAST_DOWN_M_S
+    if mode == LAND:
+        return targets.climb(place, -down_m_s)
+    if mode == RTL:
+        way = targets.return_point(position, home, home[2] + p["RTL_RETURN_ALT"], place)
+        return targets.climb(way, -down_m_s) if way.over_home else targets.hold(way)
+    return targets.hold(place)

@@ -116,43 +116,37 @@ class Stm32(FlightController):
         self._latest_t = -math.inf
         self._land_at = None
 
-    def set_mode(self, request: Request, t: float) -> int:
-        """Set or clear guided; there are no custom modes."""
+    def fly(self, request: Request, t: float) -> int:
+        """Set or clear guided, as there are no custom modes; or land. Attitude targets take off by their thrust."""
+        if request.command == mavlink.MAV_CMD_NAV_LAND:
+            return self._land(t)
         base = whole(request.params[0])
-        if base < 0 or base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        unknown = base < 0 or base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if request.command != mavlink.MAV_CMD_DO_SET_MODE or unknown:
             return _UNSUPPORTED
         self._guided = bool(base & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED)
         self._land_at = None
         return _DONE
 
-    def take_off(self, request: Request, t: float) -> int:
-        """Not supported: attitude targets take off by their thrust."""
-        return _UNSUPPORTED
-
-    def land(self, t: float) -> int:
+    def _land(self, t: float) -> int:
         """Come down over this position; targets that still arrive are ignored."""
         if not self.armed:
             return _DENIED
         if self._land_at is None:
-            flight = self.flight
-            here = targets.TargetPoint(flight.position_enu.copy(), flight.yaw_enu)
-            self._land_at = here.after_braking(flight.velocity_enu)
+            estimate = self.flight.estimate
+            here = targets.TargetPoint(estimate.position_enu.copy(), estimate.yaw_enu)
+            self._land_at = here.after_braking(estimate.velocity_enu)
             self.log("landing")
         return _DONE
-
-    def return_home(self, t: float) -> int:
-        """Not supported: it stores no home."""
-        return _UNSUPPORTED
 
     def set_mode_by_rc(self, mode: str, t: float) -> bool:
         """There are no modes to select."""
         return False
 
-    def on_position_target(self, message: Any, t: float) -> None:
-        """Position targets are ignored."""
-
-    def on_attitude_target(self, message: Any, t: float) -> None:
-        """Attitude and thrust are required; body rates are added when present."""
+    def on_setpoint(self, message: Any, t: float) -> None:
+        """Attitude and thrust are required, body rates are added when present; position targets are ignored."""
+        if message.get_type() != "SET_ATTITUDE_TARGET":
+            return
         wanted = setpoints.read_attitude(message)
         if wanted.attitude_ned is None or not math.isfinite(wanted.thrust):
             return

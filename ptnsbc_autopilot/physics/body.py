@@ -74,6 +74,44 @@ class VehicleDescription:
         return replace(self, plant=self.plant._replace(drag=drag, wind=wind))
 
 
+class KinematicState:
+    """A state (13,) of the vehicle: its truth in the world, or its estimate from its own origin."""
+
+    def __init__(self, values: Array) -> None:
+        self._values = values
+
+    @property
+    def position_enu(self) -> Array:
+        """Position (3,) [m]."""
+        return self._values[0:3]
+
+    @property
+    def velocity_enu(self) -> Array:
+        """Velocity (3,) [m/s]."""
+        return self._values[7:10]
+
+    @property
+    def rates_flu(self) -> Array:
+        """Body rates (3,) [rad/s]."""
+        return self._values[10:13]
+
+    @property
+    def attitude_enu(self) -> Quaternion:
+        """Attitude, FLU in ENU."""
+        x, y, z, w = (float(v) for v in self._values[3:7])
+        return Quaternion(w, x, y, z)
+
+    @property
+    def yaw_enu(self) -> float:
+        """Yaw [rad]."""
+        return euler_of(self.attitude_enu).yaw
+
+    @property
+    def heading_ned(self) -> float:
+        """Heading [rad]."""
+        return euler_of(attitude_swap(self.attitude_enu)).yaw
+
+
 class VehiclePhysics:
     """State of one vehicle; `advance` moves it to a time."""
 
@@ -90,6 +128,7 @@ class VehiclePhysics:
         self._loop = np.zeros(airframe.LOOP_SIZE)
         self._loop[airframe.CONTACT] = 1.0
         self._nav = np.zeros(13)
+        self.truth, self.estimate = KinematicState(self._state), KinematicState(self._nav)
         self._start_t = t
         self._ticks = 0
         self._contact_t = t
@@ -154,53 +193,6 @@ class VehiclePhysics:
         return airframe.hover_share(self.body.plant)
 
     @property
-    def truth_enu(self) -> Array:
-        """True position (3,) [m, world ENU]."""
-        return self._state[0:3]
-
-    @property
-    def true_velocity_enu(self) -> Array:
-        """True velocity (3,) [m/s]."""
-        return self._state[7:10]
-
-    @property
-    def true_attitude_enu(self) -> Quaternion:
-        """True attitude, FLU in ENU."""
-        x, y, z, w = (float(v) for v in self._state[3:7])
-        return Quaternion(w, x, y, z)
-
-    @property
-    def position_enu(self) -> Array:
-        """Estimated position (3,) [m, ENU from the vehicle's own origin]."""
-        return self._nav[0:3]
-
-    @property
-    def velocity_enu(self) -> Array:
-        """Estimated velocity (3,) [m/s]."""
-        return self._nav[7:10]
-
-    @property
-    def rates_flu(self) -> Array:
-        """Body rates (3,) [rad/s]."""
-        return self._nav[10:13]
-
-    @property
-    def attitude_enu(self) -> Quaternion:
-        """Estimated attitude, FLU in ENU."""
-        x, y, z, w = (float(v) for v in self._nav[3:7])
-        return Quaternion(w, x, y, z)
-
-    @property
-    def yaw_enu(self) -> float:
-        """Estimated yaw [rad]."""
-        return euler_of(self.attitude_enu).yaw
-
-    @property
-    def heading_ned(self) -> float:
-        """Estimated heading [rad]."""
-        return euler_of(attitude_swap(self.attitude_enu)).yaw
-
-    @property
     def battery_v(self) -> float:
         """Voltage of the battery."""
         return _CELLS * (_EMPTY_V + (_FULL_V - _EMPTY_V) * self.battery)
@@ -208,4 +200,4 @@ class VehiclePhysics:
     def reboot(self) -> None:
         """Restart the estimator at the present position: motors off, a new origin."""
         self.target = airframe.no_target()
-        self.navigation.restart(self.truth_enu.copy())
+        self.navigation.restart(self.truth.position_enu.copy())

@@ -358,5 +358,5 @@ def _ready(fleet: list[VehicleServer], say: Callable[[str], None]) -> None:
             f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"
             for end in station.endpoints
         )
-        place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth_enu)
+        place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth.position_enu)
         say(f"autopilot: system {station.vehicle.system} at {place} m, udp {ends}")

@@ -116,7 +116,7 @@ class Companion:
         assert (self.offboard(), self.arm()) == (0, 0)
         self.flown(0, 0, -1, seconds)
         self.flown(0, 0, 0, 2)
-        assert self.vehicle.flight.truth_enu[2] > 1
+        assert self.vehicle.flight.truth.position_enu[2] > 1
 
     def flown(self, north: float, east: float, down: float, seconds: float) -> None:
         """Stream a velocity for a time."""

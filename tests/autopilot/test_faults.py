@@ -69,7 +69,7 @@ def test_the_pilot_takes_over(companion):
     run_fault_line([px4.vehicle], "1 mode posctl", px4.t)
     px4.flown(1.0, 0, 0, 3.0)
     assert px4.vehicle.active == POSCTL
-    assert np.linalg.norm(px4.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(px4.vehicle.flight.truth.velocity_enu) < 0.1
     assert px4.last("HEARTBEAT").custom_mode == POSCTL.word
 
 
@@ -135,7 +135,7 @@ def test_state_tells_the_truth(companion):
     px4.airborne()
     told = state(px4.vehicle)
     assert (told["armed"], told["mode"]) == (True, "OFFBOARD")
-    assert told["position_enu_m"] == px4.vehicle.flight.truth_enu.tolist()
+    assert told["position_enu_m"] == px4.vehicle.flight.truth.position_enu.tolist()
 
 
 def test_gps_comes_back(companion):

@@ -52,7 +52,7 @@ def test_a_limit_acts_once_it_is_set(companion):
     px4.airborne()
     put(px4, "MPC_XY_VEL_MAX", 0.5, mavlink.MAV_PARAM_TYPE_REAL32)
     px4.flown(3.0, 0, 0, 20.0)
-    assert px4.vehicle.flight.true_velocity_enu[1] == pytest.approx(0.5, abs=0.05)
+    assert px4.vehicle.flight.truth.velocity_enu[1] == pytest.approx(0.5, abs=0.05)
 
 
 def test_nothing_is_said_of_unknown_parameters(companion):

@@ -101,7 +101,11 @@ def test_physics_do_not_depend_on_how_often_they_are_advanced(companion):
         flight.target = climb
         for n in range(steps):
             flight.advance(4.0 * (n + 1) / steps)
-        ends.append(np.concatenate((flight.truth_enu, flight.position_enu, [flight.battery])))
+        ends.append(
+            np.concatenate(
+                (flight.truth.position_enu, flight.estimate.position_enu, [flight.battery])
+            )
+        )
     assert ends[0][2] > 2.0
     assert ends[0].tolist() == ends[1].tolist()
 
@@ -175,12 +179,12 @@ def test_return_comes_home_and_lands(companion, kind):
         made.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 4)
         made.run(6.0)
         made.flown(2.0, 0, 0, 4.0)
-    assert made.vehicle.flight.truth_enu[1] > 4.0
+    assert made.vehicle.flight.truth.position_enu[1] > 4.0
     made.put("RTL_RETURN_ALT" if kind is Px4 else "RTL_ALT_M", 6.0)
     assert made.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
     made.run(40.0)
     assert not made.vehicle.armed
-    assert made.vehicle.flight.truth_enu == pytest.approx([0, 0, 0], abs=0.7)
+    assert made.vehicle.flight.truth.position_enu == pytest.approx([0, 0, 0], abs=0.7)
 
 
 def test_flight_termination_stops_the_motors(companion):
@@ -213,7 +217,9 @@ def test_random_messages_do_no_harm(companion, kind):
         made.t += 0.004
     flight = made.vehicle.flight
     assert taken > 2000
-    assert np.isfinite(np.concatenate((flight.truth_enu, flight.position_enu))).all()
+    assert np.isfinite(
+        np.concatenate((flight.truth.position_enu, flight.estimate.position_enu))
+    ).all()
 
 
 def test_with_a_key_unsigned_and_wrongly_signed_packets_are_dropped():

@@ -33,7 +33,7 @@ def flying(copter):
     """In GUIDED, at its take-off height."""
     assert (guided(copter), copter.arm(), take_off(copter)) == (ACCEPTED,) * 3
     copter.run(8.0)
-    assert copter.vehicle.flight.truth_enu[2] == pytest.approx(UP, abs=0.3)
+    assert copter.vehicle.flight.truth.position_enu[2] == pytest.approx(UP, abs=0.3)
     return copter
 
 
@@ -87,15 +87,15 @@ def test_a_velocity_ends_the_take_off(copter):
 
 def test_velocity_is_flown_in_ned(flying):
     flying.flown(1.0, 0.5, 0, 4.0)
-    assert flying.vehicle.flight.true_velocity_enu[:2] == pytest.approx([0.5, 1.0], abs=0.1)
+    assert flying.vehicle.flight.truth.velocity_enu[:2] == pytest.approx([0.5, 1.0], abs=0.1)
 
 
 def test_it_keeps_the_last_velocity_for_three_seconds_and_stays_in_guided(flying):
     flying.flown(1.0, 0, 0, 3.0)
     flying.run(2.8)
-    assert flying.vehicle.flight.true_velocity_enu[1] == pytest.approx(1.0, abs=0.1)
+    assert flying.vehicle.flight.truth.velocity_enu[1] == pytest.approx(1.0, abs=0.1)
     flying.run(3.0)
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
     flying.run(1.0)
     assert flying.last("HEARTBEAT").custom_mode == GUIDED
 
@@ -104,13 +104,13 @@ def test_the_timeout_is_the_parameter(flying):
     flying.put("GUID_TIMEOUT", 1.0)
     flying.flown(1.0, 0, 0, 3.0)
     flying.run(3.0)
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
 
 
 @pytest.mark.parametrize("frame", [1, 7, 8, 9])
 def test_four_frames_are_taken(flying, frame):
     flying.run(3.0, lambda: flying.target(velocity=(1, 0, 0), frame=frame))
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) == pytest.approx(1, abs=0.1)
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) == pytest.approx(1, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -119,14 +119,14 @@ def test_four_frames_are_taken(flying, frame):
 def test_wrong_input_stops_it(flying, wrong):
     flying.flown(1.0, 0, 0, 3.0)
     flying.run(3.0, lambda: flying.target(**{"velocity": (1, 0, 0), **wrong}))
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
 
 
 def test_setpoints_outside_guided_are_ignored(flying):
     flying.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 5)
     flying.run(2.0)
     flying.flown(1.0, 0, 0, 2.0)
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
 
 
 def test_landing_disarms(flying):
@@ -152,7 +152,7 @@ def test_in_the_air_disarming_needs_the_magic_number(flying):
 
 def heading(copter):
     """Clockwise from north [rad], by its own estimate."""
-    return euler_of(attitude_swap(copter.vehicle.flight.attitude_enu)).yaw
+    return euler_of(attitude_swap(copter.vehicle.flight.estimate.attitude_enu)).yaw
 
 
 def attitude(copter, thrust, mask=0b111, q=(1.0, 0.0, 0.0, 0.0)):
@@ -164,16 +164,16 @@ def attitude(copter, thrust, mask=0b111, q=(1.0, 0.0, 0.0, 0.0)):
 def test_thrust_of_an_attitude_is_a_climb_rate(flying):
     flying.run(3.0, lambda: attitude(flying, 0.7))
     climb = 0.4 * flying.vehicle.parameters["WP_SPD_UP"]
-    assert flying.vehicle.flight.true_velocity_enu[2] == pytest.approx(climb, abs=0.1)
+    assert flying.vehicle.flight.truth.velocity_enu[2] == pytest.approx(climb, abs=0.1)
     flying.run(3.0, lambda: attitude(flying, 0.5))
-    assert flying.vehicle.flight.true_velocity_enu[2] == pytest.approx(0.0, abs=0.1)
+    assert flying.vehicle.flight.truth.velocity_enu[2] == pytest.approx(0.0, abs=0.1)
 
 
 def test_thrust_of_an_attitude_is_a_thrust_when_the_option_says_so(flying):
     flying.put("GUID_OPTIONS", 8)
     hover = flying.vehicle.flight.hover_share
     flying.run(1.0, lambda: attitude(flying, 1.2 * hover))
-    assert flying.vehicle.flight.true_velocity_enu[2] == pytest.approx(0.2 * 9.81, rel=0.2)
+    assert flying.vehicle.flight.truth.velocity_enu[2] == pytest.approx(0.2 * 9.81, rel=0.2)
 
 
 def test_an_attitude_that_climbs_takes_off(copter):
@@ -200,9 +200,9 @@ def test_after_an_attitude_it_levels_and_keeps_its_height(flying):
     tilt = (math.cos(0.05), 0.0, math.sin(0.05), 0.0)
     flying.run(2.0, lambda: attitude(flying, 0.6, q=tilt))
     flying.run(6.0)
-    height = flying.vehicle.flight.truth_enu[2]
+    height = flying.vehicle.flight.truth.position_enu[2]
     flying.run(2.0)
-    assert flying.vehicle.flight.truth_enu[2] == pytest.approx(height, abs=0.1)
+    assert flying.vehicle.flight.truth.position_enu[2] == pytest.approx(height, abs=0.1)
     assert flying.vehicle.mode == GUIDED
 
 
@@ -210,7 +210,7 @@ def test_after_an_attitude_it_levels_and_keeps_its_height(flying):
 def test_wrong_attitudes_stop_it(flying, wrong):
     flying.flown(1.0, 0, 0, 2.0)
     flying.run(3.0, lambda: attitude(flying, 0.8, **wrong))
-    assert np.linalg.norm(flying.vehicle.flight.true_velocity_enu) < 0.1
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
 
 
 def test_texts_go_to_every_link_without_a_tab(copter):

@@ -134,7 +134,7 @@ def test_take_off_command_climbs_and_then_holds(companion):
     assert px4.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, nan) == ACCEPTED
     px4.run(9.0)
     assert px4.vehicle.active == HOLD
-    assert px4.vehicle.flight.truth_enu[2] == pytest.approx(2.5, abs=0.3)
+    assert px4.vehicle.flight.truth.position_enu[2] == pytest.approx(2.5, abs=0.3)
 
 
 def test_without_a_position_it_descends(companion):

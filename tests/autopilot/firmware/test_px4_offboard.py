@@ -14,7 +14,7 @@ ACCEPTED, REJECTED = 0, 1
 
 
 def speed(companion):
-    return float(np.hypot(*companion.vehicle.flight.true_velocity_enu[:2]))
+    return float(np.hypot(*companion.vehicle.flight.truth.velocity_enu[:2]))
 
 
 def test_offboard_is_acknowledged_without_a_stream_and_arming_is_not(companion):
@@ -91,10 +91,10 @@ def test_by_default_it_sinks_and_drifts(companion):
     px4 = companion(Px4)
     px4.vehicle.flight.body.plant.wind[0] = 3.0
     px4.airborne()
-    height = px4.vehicle.flight.truth_enu[2]
+    height = px4.vehicle.flight.truth.position_enu[2]
     px4.run(3.0)
     assert px4.vehicle.active == POSCTL
-    assert px4.vehicle.flight.truth_enu[2] < height - 0.8
+    assert px4.vehicle.flight.truth.position_enu[2] < height - 0.8
     assert speed(px4) > 0.3
 
 
@@ -136,9 +136,9 @@ def test_zero_velocity_is_not_hold(companion):
         px4 = companion(Px4, quality=QUALITIES["plain"], seed=seed)
         px4.airborne(5.0)
         px4.flown(0, 0, 0, 4.0)
-        before, start = px4.vehicle.flight.truth_enu.copy(), px4.t
+        before, start = px4.vehicle.flight.truth.position_enu.copy(), px4.t
         px4.flown(0, 0, 0, 12.0)
-        drifts.append(float(np.linalg.norm((px4.vehicle.flight.truth_enu - before)[:2])))
+        drifts.append(float(np.linalg.norm((px4.vehicle.flight.truth.position_enu - before)[:2])))
         read = [math.hypot(m.vx, m.vy) for m in px4.got("LOCAL_POSITION_NED", since=start)]
         assert np.mean(read) < 0.1
     assert np.sqrt(np.mean(np.square(drifts))) == pytest.approx(4.0, abs=1.5)
@@ -152,12 +152,12 @@ def test_its_own_position_loop_holds_as_with_a_twentieth_of_the_noise(companion)
         px4 = companion(Px4, quality=QUALITIES["quiet"], seed=seed)
         px4.airborne(5.0)
         flight = px4.vehicle.flight
-        east, north, up = goal = flight.position_enu.copy()
+        east, north, up = goal = flight.estimate.position_enu.copy()
         place = goal + flight.navigation.origin_enu
 
         def hold(px4=px4, at=(north, east, -up), errors=errors, flight=flight, place=place):
             px4.target(position=at, mask=0x09F8)
-            errors.append(flight.truth_enu[:2] - place[:2])
+            errors.append(flight.truth.position_enu[:2] - place[:2])
 
         px4.run(15.0, hold)
     horizontal = np.sqrt(2.0 * np.mean(np.square(errors)))
@@ -171,16 +171,16 @@ def test_a_position_loop_by_velocity_holds_as_the_measured_one(companion):
         px4 = companion(Px4, quality=QUALITIES["plain"], seed=seed)
         px4.airborne(5.0)
         flight = px4.vehicle.flight
-        goal = flight.position_enu.copy()
+        goal = flight.estimate.position_enu.copy()
         place = goal + flight.navigation.origin_enu
 
         def close(px4=px4, flight=flight, goal=goal):
-            e, n, u = 0.8 * (goal - flight.position_enu)
+            e, n, u = 0.8 * (goal - flight.estimate.position_enu)
             px4.velocity(n, e, -u)
 
         for _ in range(20):
             px4.run(1.0, close)
-            own.append(np.sum((flight.position_enu - goal) ** 2))
-            true.append(np.sum((flight.truth_enu - place) ** 2))
+            own.append(np.sum((flight.estimate.position_enu - goal) ** 2))
+            true.append(np.sum((flight.truth.position_enu - place) ** 2))
     assert 0.31 < math.sqrt(np.mean(own)) < 0.47
     assert 0.6 < math.sqrt(np.mean(true)) < 1.0

@@ -50,9 +50,9 @@ class Flight:
                 message = mavlink.MAVLink_set_position_target_local_ned_message(
                     0, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, mask, *vectors, 0, 0
                 )
-                self.vehicle.on_position_target(message, self.t + at)
+                self.vehicle.on_setpoint(message, self.t + at)
             self.vehicle.step(self.t + at + STEP_S)
-            rows.append((at + STEP_S, self.vehicle.flight.true_velocity_enu[0]))
+            rows.append((at + STEP_S, self.vehicle.flight.truth.velocity_enu[0]))
         self.t += seconds
         return np.array(rows).T
 

@@ -16,7 +16,7 @@ SETTLED_S = 20.0  # its integral takes 7 s to make up for the drag
 
 
 def speed(companion):
-    return float(np.hypot(*companion.vehicle.flight.true_velocity_enu[:2]))
+    return float(np.hypot(*companion.vehicle.flight.truth.velocity_enu[:2]))
 
 
 def against_drag(push, seconds):
@@ -28,7 +28,7 @@ def test_velocity_is_flown_in_ned(companion):
     px4 = companion(Px4, yaw_rad=2.0)
     px4.airborne()
     px4.flown(1.0, 0.5, 0, SETTLED_S)
-    north = px4.vehicle.flight.true_velocity_enu
+    north = px4.vehicle.flight.truth.velocity_enu
     assert north[:2] == pytest.approx([0.5, 1.0], abs=0.05)
     last = px4.last("LOCAL_POSITION_NED")
     assert (last.vx, last.vy) == pytest.approx((1.0, 0.5), abs=0.05)
@@ -42,14 +42,14 @@ def test_body_ned_turns_with_the_heading(companion):
     px4.run(3.0, lambda: px4.target(yaw=math.pi / 2))
     frame = mavlink.MAV_FRAME_BODY_NED
     px4.run(SETTLED_S, lambda: px4.target(velocity=(1, 0, 0), mask=mask, frame=frame))
-    assert px4.vehicle.flight.true_velocity_enu[:2] == pytest.approx([1.0, 0.0], abs=0.08)
+    assert px4.vehicle.flight.truth.velocity_enu[:2] == pytest.approx([1.0, 0.0], abs=0.08)
 
 
 def test_velocity_at_a_height_is_flown(companion):
     px4 = companion(Px4)
     px4.airborne()
     px4.run(SETTLED_S, lambda: px4.target(velocity=(0.5, 0, 0), position=(0, 0, -3), mask=0x05E3))
-    assert px4.vehicle.flight.truth_enu[2] == pytest.approx(3.0, abs=0.1)
+    assert px4.vehicle.flight.truth.position_enu[2] == pytest.approx(3.0, abs=0.1)
     assert speed(px4) == pytest.approx(0.5, abs=0.05)
 
 
@@ -57,7 +57,7 @@ def test_a_position_is_reached(companion):
     px4 = companion(Px4)
     px4.airborne()
     px4.run(SETTLED_S, lambda: px4.target(position=(3, -2, -5), mask=0x09F8))
-    assert px4.vehicle.flight.truth_enu == pytest.approx([-2, 3, 5], abs=0.1)
+    assert px4.vehicle.flight.truth.position_enu == pytest.approx([-2, 3, 5], abs=0.1)
 
 
 @pytest.mark.parametrize("frame", [7, 9, 20])
@@ -89,7 +89,7 @@ def test_an_acceleration_is_flown(companion):
     px4.airborne()
     px4.run(1.0, lambda: px4.target(acceleration=(1, 0, 0), mask=0x083F))
     reached = against_drag(1.0, 0.9)
-    assert px4.vehicle.flight.true_velocity_enu[1] == pytest.approx(reached, abs=0.1)
+    assert px4.vehicle.flight.truth.velocity_enu[1] == pytest.approx(reached, abs=0.1)
 
 
 def test_not_a_number_is_as_if_ignored(companion):
@@ -123,7 +123,7 @@ def test_attitude_and_thrust_are_flown(companion):
         px4.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0b111, q, 0, 0, 0, thrust))
 
     px4.run(2.0, each, hz=50.0)
-    east, north, up = px4.vehicle.flight.true_velocity_enu
+    east, north, up = px4.vehicle.flight.truth.velocity_enu
     assert east == pytest.approx(against_drag(9.81 * math.tan(0.1), 1.9), rel=0.1)
     assert abs(north) < 0.1
     assert abs(up) < 0.3

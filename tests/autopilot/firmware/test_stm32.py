@@ -26,7 +26,7 @@ def climbed(stm32):
     hover = stm32.vehicle.flight.hover_share
     stm32.run(1.5, lambda: attitude(stm32, 1.3 * hover), hz=50.0)
     stm32.run(0.5, lambda: attitude(stm32, hover), hz=50.0)
-    assert stm32.vehicle.flight.truth_enu[2] > 1.0
+    assert stm32.vehicle.flight.truth.position_enu[2] > 1.0
 
 
 def test_its_heartbeat_is_that_of_a_generic_autopilot(stm32):
@@ -38,7 +38,7 @@ def test_its_heartbeat_is_that_of_a_generic_autopilot(stm32):
 def test_thrust_lifts_it_and_silence_brings_it_down(stm32):
     climbed(stm32)
     stm32.run(0.4)
-    assert stm32.vehicle.flight.true_velocity_enu[2] > 0.5
+    assert stm32.vehicle.flight.truth.velocity_enu[2] > 0.5
     stm32.run(20.0)
     assert stm32.vehicle.in_contact
     assert not stm32.vehicle.armed
@@ -99,7 +99,7 @@ def test_it_lands_where_it_is_whatever_targets_still_come(stm32):
     stm32.run(15.0, lambda: attitude(stm32, 1.3 * hover), hz=50.0)
     assert stm32.vehicle.in_contact
     assert not stm32.vehicle.armed
-    place = stm32.vehicle.flight.truth_enu
+    place = stm32.vehicle.flight.truth.position_enu
     assert place[:2] == pytest.approx([0.0, 0.0], abs=0.2)
 
 

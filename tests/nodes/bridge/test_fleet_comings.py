@@ -68,7 +68,7 @@ def off_place_m(fleet, uav_id, slot=None):
     made = fleet.scenario
     t = (fleet.now_ns - fleet.legs[0][0]) * 1e-9
     leader = np.array(reference(agent_config(made, 1).trajectory, t).position)
-    truth = fleet.uavs[uav_id].vehicle.flight.truth_enu
+    truth = fleet.uavs[uav_id].vehicle.flight.truth.position_enu
     return float(np.linalg.norm(truth - leader - made.offset(slot or uav_id)))
 
 
@@ -82,21 +82,21 @@ def test_vehicles_join_late_are_held_leave_and_lose_their_leader_to_a_pilot(tmp_
     """The joiner takes off with the others and waits over its start; who leaves is landed by its flight controller."""
     fleet = flown(tmp_path)
     leader, struck, leaver, joiner = (fleet.uavs[i] for i in (1, 3, 4, 5))
-    waits = joiner.vehicle.flight.truth_enu.copy()
+    waits = joiner.vehicle.flight.truth.position_enu.copy()
     until_s(fleet, JOINS_S)
-    assert np.linalg.norm(joiner.vehicle.flight.truth_enu - waits) < 0.3
+    assert np.linalg.norm(joiner.vehicle.flight.truth.position_enu - waits) < 0.3
     until_s(fleet, 23.0)
     struck.alive = False
     fleet.run(3.0)
-    held = struck.vehicle.flight.truth_enu.copy()
+    held = struck.vehicle.flight.truth.position_enu.copy()
     fleet.run(2.0)
     assert struck.step is Step.HELD
-    assert np.linalg.norm(struck.vehicle.flight.truth_enu - held) < 0.3
+    assert np.linalg.norm(struck.vehicle.flight.truth.position_enu - held) < 0.3
     assert off_place_m(fleet, 5) < 0.15
     struck.start_again()
     until_s(fleet, LEAVES_S)
     assert struck.step is Step.FLY
-    begin = leaver.vehicle.flight.truth_enu.copy()
+    begin = leaver.vehicle.flight.truth.position_enu.copy()
     until_s(fleet, 40.0)
     assert faults(fleet) == {}
     assert off_place_m(fleet, 3) < 0.15
@@ -105,7 +105,7 @@ def test_vehicles_join_late_are_held_leave_and_lose_their_leader_to_a_pilot(tmp_
     assert (leader.step, leaver.step) == (Step.YIELDED, Step.DONE)
     assert fleet.uavs[2].controller.leads
     assert max(off_place_m(fleet, i) for i in (2, 3, 5)) < 0.15
-    assert np.linalg.norm((leaver.vehicle.flight.truth_enu - begin)[:2]) < 1.5
+    assert np.linalg.norm((leaver.vehicle.flight.truth.position_enu - begin)[:2]) < 1.5
     assert not leaver.vehicle.armed
     assert list(faults(fleet)) == [1]
     found = verdict_on(fleet.recording())
@@ -142,9 +142,10 @@ def test_when_the_bridge_of_the_leader_dies_the_others_move_up_past_its_vehicle(
     near_m = []
     while (fleet.now_ns - fleet.legs[0][0]) * 1e-9 < 34.0:
         fleet.run(0.1)
-        place = leader.vehicle.flight.truth_enu
+        place = leader.vehicle.flight.truth.position_enu
         near_m += [
-            np.linalg.norm(one.vehicle.flight.truth_enu - place) for one in (successor, last)
+            np.linalg.norm(one.vehicle.flight.truth.position_enu - place)
+            for one in (successor, last)
         ]
     assert min(near_m) > 0.5
     assert leader.vehicle.armed

@@ -163,7 +163,7 @@ def passed(fleet, ball, uav_id):
 
 
 def true_places(fleet):
-    return np.array([uav.vehicle.flight.truth_enu for uav in fleet.uavs.values()])
+    return np.array([uav.vehicle.flight.truth.position_enu for uav in fleet.uavs.values()])
 
 
 def held_places(fleet):
@@ -221,7 +221,7 @@ def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
         assert uav.step is Step.FAILED
         assert not uav.vehicle.armed
         assert not uav.vehicle.lifted
-        assert uav.vehicle.flight.truth_enu[2] < 0.1
+        assert uav.vehicle.flight.truth.position_enu[2] < 0.1
     refused = fleet.uavs[2].bridge.procedure.fault
     assert "arming refused" in refused
     assert "not healthy: prearm check" in refused  # PX4 tells a companion nothing else
@@ -238,7 +238,8 @@ def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
         for uav in fleet.uavs.values():
             if uav.vehicle.lifted:
                 up.setdefault(
-                    uav.id, {i: u.vehicle.flight.truth_enu[2] for i, u in fleet.uavs.items()}
+                    uav.id,
+                    {i: u.vehicle.flight.truth.position_enu[2] for i, u in fleet.uavs.items()},
                 )
                 assert all(u.vehicle.armed for u in fleet.uavs.values())
         return all(u.bridge.procedure.ready for u in fleet.uavs.values())
@@ -280,7 +281,7 @@ def test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land():
     inject(fleet.uavs[2].vehicle, "jump", "2.5", fleet.now_s)
     fleet.run(2.0, until=lambda: all(u.step is Step.APART for u in fleet.uavs.values()))
     fleet.run(20.0, until=lambda: any(u.step is Step.LAND for u in fleet.uavs.values()))
-    heights = sorted(u.vehicle.flight.truth_enu[2] for u in fleet.uavs.values())
+    heights = sorted(u.vehicle.flight.truth.position_enu[2] for u in fleet.uavs.values())
     assert min(b - a for a, b in pairwise(heights)) > 1.0, heights
     fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
     faults = {i: uav.bridge.procedure.fault for i, uav in fleet.uavs.items()}
@@ -295,7 +296,7 @@ def off_place_m(fleet):
     made = fleet.scenario
     t = (fleet.now_ns - fleet.legs[0][0]) * 1e-9
     leader = reference(agent_config(made, made.leader.id).trajectory, t).position
-    return fleet.uavs[2].vehicle.flight.truth_enu - leader - made.offset(2)
+    return fleet.uavs[2].vehicle.flight.truth.position_enu - leader - made.offset(2)
 
 
 @pytest.mark.slow
@@ -346,12 +347,12 @@ def test_a_stream_of_setpoints_is_followed_and_ends_in_a_hover():
         fleet.tell_setpoint(odometry)
         fleet.run(0.2)
     leader, follower = (uav.vehicle.flight for uav in fleet.uavs.values())
-    np.testing.assert_allclose(leader.truth_enu, asked(), atol=0.15)
-    np.testing.assert_allclose(follower.truth_enu - made.offset(2), asked(), atol=0.15)
+    np.testing.assert_allclose(leader.truth.position_enu, asked(), atol=0.15)
+    np.testing.assert_allclose(follower.truth.position_enu - made.offset(2), asked(), atol=0.15)
     fleet.run(6.0)  # nobody tells it anything
-    rests = leader.truth_enu.copy()
+    rests = leader.truth.position_enu.copy()
     fleet.run(3.0)
-    assert np.linalg.norm(leader.truth_enu - rests) < 0.05
-    assert np.linalg.norm(follower.truth_enu - made.offset(2) - rests) < 0.15
+    assert np.linalg.norm(leader.truth.position_enu - rests) < 0.05
+    assert np.linalg.norm(follower.truth.position_enu - made.offset(2) - rests) < 0.15
     assert [uav.step for uav in fleet.uavs.values()] == [Step.FLY] * 2
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}, fleet.report()

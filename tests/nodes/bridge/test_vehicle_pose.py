@@ -175,11 +175,11 @@ def test_the_truth_of_a_stand_in_is_in_the_world_of_the_fleet(kind, height):
     flight = uav.vehicle.flight
     # The leader defines the world: it stands at its start by its estimate. The moves are true.
     assert last[0:3] - first[0:3] == pytest.approx(
-        flight.truth_enu - uav.vehicle.body.start_enu, abs=2 * RESOLUTION_M
+        flight.truth.position_enu - uav.vehicle.body.start_enu, abs=2 * RESOLUTION_M
     )
     estimated = uav.odometry[-1][0:3] if uav.odometry else uav.tracks[-1][1][0:3]
     assert np.linalg.norm(last[0:3] - estimated) < 1.0
-    assert velocity_enu(last) == pytest.approx(flight.true_velocity_enu, abs=0.05)
+    assert velocity_enu(last) == pytest.approx(flight.truth.velocity_enu, abs=0.05)
     up = rotation_from_quaternion(last[3:7])[2, 2]
     assert up == pytest.approx(rotation_from_quaternion(flight._state[3:7])[2, 2], abs=0.01)
 

@@ -412,7 +412,7 @@ def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height(de
     path = agent_config(fleet.scenario, fleet.scenario.leader.id).trajectory
     leader = fleet.uavs[fleet.scenario.leader.id]
     wanted_m = reference(path, 25.0).position[2]
-    assert leader.vehicle.flight.truth_enu[2] == pytest.approx(wanted_m, abs=0.1)
+    assert leader.vehicle.flight.truth.position_enu[2] == pytest.approx(wanted_m, abs=0.1)
 
 
 @pytest.mark.slow
