@@ -146,7 +146,7 @@ def _pids(folder: Path) -> dict[str, int]:
             words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             if any(mark in word for word in words):
                 if "--uav" in words:
-                    kind = "bridge" if "ptnsbc_nodes.bridge.main" in words else "uav"
+                    kind = "bridge" if "ptnsbc_nodes.bridge.bridge_main" in words else "uav"
                     found[f"{kind}{words[words.index('--uav') + 1]}"] = int(entry.name)
                 elif "ptnsbc_nodes.sim.main" in words:
                     found["sim"] = int(entry.name)

@@ -20,7 +20,7 @@ PROGRAMS = {
         "sim": "ptnsbc_nodes.sim.main:main",
         "recorder": "ptnsbc_nodes.recording.main:main",
         "fleet": "ptnsbc_nodes.fleet.main:main",
-        "bridge": "ptnsbc_nodes.bridge.main:main",
+        "bridge": "ptnsbc_nodes.bridge.bridge_main:main",
         "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",
         "operator": "ptnsbc_nodes.view.operator_main:main",
     },

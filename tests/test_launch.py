@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 import ament_index_python.packages as index
 from typer.testing import CliRunner
 
-from ptnsbc_nodes.bridge import main as bridge_main
+from ptnsbc_nodes.bridge import bridge_main
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 from ptnsbc_nodes.uav import main as uav_main

@@ -69,7 +69,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.uav.main": "uav",
     "ptnsbc_nodes.sim.main": "sim",
     "ptnsbc_nodes.recording.main": "recorder",
-    "ptnsbc_nodes.bridge.main": "bridge",
+    "ptnsbc_nodes.bridge.bridge_main": "bridge",
     "ptnsbc_nodes.fleet.main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
     "ptnsbc_nodes.view.operator_main": "operator",

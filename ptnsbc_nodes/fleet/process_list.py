@@ -161,7 +161,12 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCo
         arguments.append("--allow-arming")
     managed = f"/uav{uav}/bridge"
     return ProcessCommand(
-        f"bridge{uav}", "ptnsbc_nodes.bridge.main", tuple(arguments), (uav,), managed, ends=True
+        f"bridge{uav}",
+        "ptnsbc_nodes.bridge.bridge_main",
+        tuple(arguments),
+        (uav,),
+        managed,
+        ends=True,
     )
 
 

@@ -30,7 +30,7 @@ from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 
 Report = Callable[[str], None]
 
-BRIDGE = "ptnsbc_nodes.bridge.main"
+BRIDGE = "ptnsbc_nodes.bridge.bridge_main"
 _LOOK_S = 0.05
 _EPOCH_S = 0.5  # from the call to the epoch
 _AFTER_START_S = 1.0  # the epoch is half a second after the call

@@ -422,7 +422,7 @@ def test_a_uav_that_the_scenario_kills_has_not_died():
     """
 
     def ended(name, exit_code, *uavs):
-        module = "ptnsbc_nodes.bridge.main" if name.startswith("bridge") else "other"
+        module = "ptnsbc_nodes.bridge.bridge_main" if name.startswith("bridge") else "other"
         return SimpleNamespace(
             name=name, exit_code=exit_code, command=ProcessCommand(name, module, (), uavs)
         )

@@ -199,7 +199,7 @@ def test_a_sim_without_a_sign_of_life_is_ended():
 class Bridge(Child):
     """The process of a bridge that does not end, unless a test ends it."""
 
-    def __init__(self, name, module="ptnsbc_nodes.bridge.main"):
+    def __init__(self, name, module="ptnsbc_nodes.bridge.bridge_main"):
         super().__init__(name)
         self.command = ProcessCommand(name, module, (), (int(name[-1]),), ends=True)
 

@@ -65,7 +65,7 @@ def commands(tmp_path, domain):
     except ImportError:
         return found
     link = ("--connect", f"udpin:127.0.0.1:{first_port(domain)}")
-    bridge = ("bridge.main", "--scenario", "experiment_4", "--uav", 3, *link)
+    bridge = ("bridge.bridge_main", "--scenario", "experiment_4", "--uav", 3, *link)
     return {**found, "/uav3/bridge": bridge}
 
 

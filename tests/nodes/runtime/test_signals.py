@@ -102,7 +102,7 @@ SCENARIO = ("--scenario", "paper_5")
 PROCESSES = {
     "uav": ("ptnsbc_nodes.uav.main", *SCENARIO, "--uav", "1"),
     "sim": ("ptnsbc_nodes.sim.main", *SCENARIO),
-    "bridge": ("ptnsbc_nodes.bridge.main", *SCENARIO, "--uav", "1"),
+    "bridge": ("ptnsbc_nodes.bridge.bridge_main", *SCENARIO, "--uav", "1"),
     "recorder": ("ptnsbc_nodes.recording.main", "--bag", "bag", "--uavs", "1"),
     "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
     "fleet": ("ptnsbc_nodes.fleet.main", *SCENARIO),

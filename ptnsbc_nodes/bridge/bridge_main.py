@@ -1,4 +1,4 @@
-"""Process of one bridge: `python -m ptnsbc_nodes.bridge.main --scenario FILE --uav N`."""
+"""Process of one bridge: `python -m ptnsbc_nodes.bridge.bridge_main --scenario FILE --uav N`."""
 
 from __future__ import annotations
 
