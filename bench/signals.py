@@ -249,12 +249,12 @@ def _separations(recording: Recording) -> Iterator[Separation]:
     require_all_uavs(recording)
     begin_ns = max(track.first_ns for track in recording.odometry.values())
     pairs, instants = Separations(recording), 0
-    for grid in recording.grids_between(begin_ns, recording.last_ns):
-        pairs.add(grid, recording.positions(grid))
-        instants += len(grid)
+    for block in recording.blocks(begin_ns, recording.last_ns):
+        pairs.add(block)
+        instants += len(block.stamps)
     if not instants:
         raise VerdictError("no instant at which all UAVs are recorded")
-    yield from pairs.found()
+    yield from pairs.results()
     if recording.samples > 1:
         yield from verdict_on(recording).separations
 

@@ -17,6 +17,7 @@ from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import whole
 
 Setting = Mapping[str, Any]
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
@@ -76,8 +77,7 @@ class FlightCurves:
     def errors(self) -> Array:
         """Formation error (T, N) [m], as the verdict defines it."""
         recording = recording_of(self.flight)
-        grid = recording.grid()
-        found = formation_errors(recording, grid, recording.positions(grid))
+        found = formation_errors(recording, whole(recording))
         return np.stack([found[uav] for uav in self.uavs], axis=1)
 
     def errors_at(self, seconds: float) -> Array:

@@ -15,11 +15,12 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     STALE_S,
     STOP_S,
 )
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, SafetyState
+from ptnsbc_nodes.comm.diagnostics import SafetyState
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.pacing import LIMIT_S
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
 from ptnsbc_nodes.uav.uav_status import ABANDONED_S
+from ptnsbc_sim.counters import STATUS_HZ
 
 HEADLESS, SIM, MAVLINK = "headless", "sim", "mavlink"
 ALL = (HEADLESS, SIM, MAVLINK)

@@ -41,7 +41,7 @@ from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion, n
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
-from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ, StatusLog
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, StatusLog
 from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -59,6 +59,7 @@ from ptnsbc_nodes.emergency.orders import (
     runtime_folder,
 )
 from ptnsbc_nodes.runtime.environment import named_domain
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 
 _BRIDGE, _LINK = "bridge", ": link"

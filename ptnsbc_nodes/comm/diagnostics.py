@@ -16,19 +16,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ptnsbc_io.wire.cdr import encode, split_stamp
-from ptnsbc_sim.scenario import Scenario
 
-STATUS_HZ = 5
 INACTIVE = "activation"
 """In `waiting_for` of a node that is configured and not yet activated."""
 SAFETY = "safety"
 """Key of the safety state."""
 _LOG_GAP_S = 1.0
-
-
-def status_every(scenario: Scenario) -> int:
-    """Number of ticks from one status to the next."""
-    return max(scenario.timing.control_hz // STATUS_HZ, 1)
 
 
 class DiagnosticLevel(IntEnum):

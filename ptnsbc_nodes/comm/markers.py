@@ -18,7 +18,7 @@ from ptnsbc_io.wire.cdr import encode, split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.announcements import decode_leg
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.world import World

@@ -14,7 +14,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable
 
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+from ptnsbc_sim.counters import STATUS_HZ
 
 SAID_S = 3.0
 ENDED_S = 10.0

@@ -17,13 +17,7 @@ from rclpy.node import Node
 from ptnsbc_io.wire import HeaderFields, Stamped, WireError, checked_wrench, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
-from ptnsbc_nodes.comm.diagnostics import (
-    STATUS_HZ,
-    DiagnosticLevel,
-    StatusLog,
-    diagnostics,
-    readiness,
-)
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
 from ptnsbc_nodes.comm.door import RealTimeStamps, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -37,6 +31,7 @@ from ptnsbc_nodes.sim.stepping import (
     RecorderBacklog,
     SimPublishers,
 )
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 

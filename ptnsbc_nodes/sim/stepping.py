@@ -16,13 +16,13 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
-from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
 from ptnsbc_nodes.comm.markers import Scene
 from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_nodes.comm.topics import RECORDED_EVERY
 from ptnsbc_nodes.runtime.pacing import Latency, Pace
+from ptnsbc_sim.counters import status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.door import LockstepHorizon, LockstepStamps, RealTimeStamps
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import Tick
 from ptnsbc_nodes.uav.uav_flight import UavFlight
+from ptnsbc_sim.counters import status_every
 from ptnsbc_sim.scenario import Scenario
 
 LEAD_NS = 500_000_000

@@ -18,7 +18,8 @@ from ptnsbc_core.types import AgentState
 from ptnsbc_io.wire import RowTemplate, Stamped, WireError
 from ptnsbc_io.wire.cdr import Floats
 from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, UavCounters, VehicleSpeedLimits
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits
+from ptnsbc_sim.counters import UavCounters
 
 _STEP_FIELDS = ("sequence", *StepTime._fields)
 _NO_MESSAGE = (-1, 0)

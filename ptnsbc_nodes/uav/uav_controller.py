@@ -17,7 +17,6 @@ from ptnsbc_core.types import (
     MODE_HOLD,
     NEVER_RECEIVED_S,
     AgentConfig,
-    AgentDiagnostics,
     AgentState,
     Array,
     NeighbourMotions,
@@ -27,6 +26,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_sim.counters import UavCounters
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -72,74 +72,6 @@ class VehicleSpeedLimits(NamedTuple):
 
 def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
     return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
-
-
-_CUMULATIVE = (
-    *("ticks", "avoidance_active_s", "saturated_s", "holding_s"),
-    *("priority_violation_max", "deadlock_s"),
-)
-
-
-class UavCounters:
-    """Cumulative counters of one UAV since its start, and the newest figures of its planner; for /diagnostics."""
-
-    SIZE = len(_CUMULATIVE)  # numbers in `numbers`
-
-    def __init__(self) -> None:
-        self.ticks = 0
-        self.avoidance_active_s = 0.0
-        self.saturated_s = 0.0
-        self.holding_s = 0.0
-        self.priority_violation_max = 0.0  # [m/s]
-        self.deadlock_s = 0.0
-        self._newest: AgentDiagnostics | None = None
-
-    def add(self, step: AgentDiagnostics, dt: float) -> None:
-        """Count one step that lasted `dt` [s]."""
-        self.ticks += 1
-        self.avoidance_active_s += dt * (step.active_rows > 0)
-        self.saturated_s += dt * step.saturated
-        self.holding_s += dt * step.holding
-        self.priority_violation_max = max(self.priority_violation_max, step.priority_violation)
-        self.deadlock_s += dt * step.deadlock
-        self._newest = step
-
-    @property
-    def deadlock(self) -> bool:
-        """True if the UAV was in a deadlock at the newest step."""
-        return self._newest is not None and bool(self._newest.deadlock)
-
-    @property
-    def holding(self) -> bool:
-        """True if the UAV held its position at the newest step."""
-        return self._newest is not None and bool(self._newest.holding)
-
-    def numbers(self) -> list[float]:
-        """The cumulative counters as numbers."""
-        return [float(getattr(self, name)) for name in _CUMULATIVE]
-
-    def restore(self, numbers: Array) -> None:
-        """Continue from what `numbers` returned."""
-        for name, number in zip(_CUMULATIVE, numbers, strict=True):
-            setattr(self, name, float(number))
-        self.ticks = int(numbers[0])
-
-    def values(self) -> dict[str, str]:
-        """Counters and newest figures as key-value strings; `deadlock_s` from the first deadlock on."""
-        newest: Any = self._newest
-        error = newest.error if newest else (0.0, 0.0, 0.0)
-        deadlock = {"deadlock_s": f"{self.deadlock_s:.3f}"} if self.deadlock_s > 0.0 else {}
-        return {
-            "avoidance_active_s": f"{self.avoidance_active_s:.3f}",
-            "saturated_s": f"{self.saturated_s:.3f}",
-            "holding_s": f"{self.holding_s:.3f}",
-            "ticks": str(self.ticks),
-            "formation_error": f"{sum(float(e) ** 2 for e in error) ** 0.5:.6f}",
-            "gain": f"{newest.gain if newest else 0.0:.6f}",
-            "sigma_min": f"{newest.singular_value if newest else 0.0:.6f}",
-            "priority_violation_max": f"{self.priority_violation_max:.6g}",
-            **deadlock,
-        }
 
 
 class NewRole(NamedTuple):

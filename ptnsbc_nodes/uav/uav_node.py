@@ -11,7 +11,7 @@ from rclpy.node import Node
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg
-from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
+from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.robot_description import publish_description
@@ -20,6 +20,7 @@ from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.uav_flight import UavFlight
 from ptnsbc_nodes.uav.uav_status import UavStatus, VehiclePresence
 from ptnsbc_nodes.uav.uav_topics import LeaderSetpoints, Outbox, Subscriptions
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 
 

@@ -25,7 +25,6 @@ from ptnsbc_io.wire import HeaderFields
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, decode_leg
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
@@ -38,6 +37,7 @@ from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.goals import Answer, LegGoal, MissionGoal
 from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import agent_config
 from ptnsbc_sim.scenario.mission.legs import CANCEL, leg_names, number_of

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_sim.verdict.phases import Absence
+from ptnsbc_sim.verdict.members import Absence
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.track import Series, Track
 
@@ -36,7 +36,7 @@ def coverages(recording: Recording) -> dict[int, Coverage]:
         if uav in recording.sent or not isinstance(track, Series):
             found[uav] = coverage(recording, uav, track)
             continue
-        alike = id(track.t_ns), recording.absences[uav]
+        alike = id(track.t_ns), recording.members.absences[uav]
         if alike not in known:
             known[alike] = coverage(recording, uav, track)
         found[uav] = known[alike]
@@ -59,7 +59,7 @@ def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
     for block in chain(stamps, [np.array([end_ns])]):
         edges = np.concatenate(([last_ns], block))
         gaps = np.diff(edges)
-        for one in recording.absences[uav]:
+        for one in recording.members.absences[uav]:
             gaps[(edges[1:] > one.begin_ns) & (edges[:-1] < one.end_ns)] = 0
         longest = int(np.argmax(gaps))
         if gaps[longest] > longest_ns:
@@ -93,11 +93,11 @@ def _count(track: Track, first_ns: int, last_ns: int) -> int:
 def _early_end(recording: Recording) -> str:
     """The odometry that ends before the flight does, empty when none does."""
     scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
-    due_ns = recording.due_ns
+    due_ns = recording.cut_off(recording.first_ns + scenario.timing.ticks * scenario.timing.dt_ns)
     last_ns = due_ns - scenario.timing.dt_ns  # a flight of n periods ends with message n - 1
     if (last_ns - end_ns) * NANO <= LONGEST_GAP_S:
         return ""
-    first = min(recording.staying, key=lambda uav: recording.odometry[uav].last_ns)
+    first = min(recording.members.staying, key=lambda uav: recording.odometry[uav].last_ns)
     lengths = (f"{(t_ns - start_ns) * NANO:.2f} s" for t_ns in (end_ns, due_ns))
     return f"/uav{first}/odom ends after {' of '.join(lengths)}"
 

@@ -1,9 +1,15 @@
-"""The verdict on the deadline of one UAV, by the figures of its error, with the causes of a miss."""
+"""The verdict on the deadline of one UAV, by the figures of its error, with the causes of a miss.
+
+A verdict is decided by its reasons, in `_reasons`: none is met, one whose cause voids it is void, else missed; a
+keep-out that was entered is violated. Only what the UAVs could not help voids a deadline: see `Cause`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +18,7 @@ from ptnsbc_sim.scenario.approach.path import EpochPlaces
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import ancestors
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
-from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
+from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise, seconds
 
 MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
 WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
@@ -22,6 +28,67 @@ TOLERANCE_M = 0.05
 
 MOST_EXCUSED = 0.5
 """Share of the time after the deadline that encounters may excuse at most."""
+
+_HELD = "held for {s:.2f} s, link stale"
+
+
+class Cause(Enum):
+    """Why a deadline was not met: in words, and whether it voids the deadline."""
+
+    # the recording does not show it
+    LOST = "{membership}", True
+    INCOMPLETE = "recording incomplete: {hole}", True
+    ENDED = "recording ends after {end_s:.2f} s", True
+    STATE_NOT_FINITE = "state not finite from t = {t_s:.2f} s", False
+    ERROR_NOT_FINITE = "error not finite from t = {t_s:.2f} s", False
+    # the error
+    LEFT_AGAIN = "met at the deadline, but outside {band:.3f} m again until {until}", False
+    OUTSIDE = "outside {band:.3f} m until the end at {end_s:.2f} s", False
+    SETTLED_LATE = "settled after {t_s:.2f} s", False
+    TOO_LARGE = "error at the deadline above {tolerance:g} m", False
+    LATE_CHANGE = "{error:.3f} m off at {due_s:.2f} s, when {what} was due", False
+    NEAR_OBJECTS = (
+        "outside {band:.3f} m near objects for {outside_s:.2f} s of the {after_s:.2f} s after the deadline",
+        False,
+    )
+    # why an encounter does not excuse it
+    TOO_SHORT = (
+        "the limits allow no deadline below {shortest:.2f} s, which no encounter excuses",
+        False,
+    )
+    NEVER_OVER = "an encounter lasts over the deadline until the end", False
+    NOT_BACK_WHEN_DUE = (
+        "{error:.3f} m off at {due_s:.2f} s, when it had to be back after an encounter{promise}",
+        False,
+    )
+    BACK_AND_AWAY = (
+        "back at {due_s:.2f} s after an encounter, but outside {band:.3f} m again until {until}",
+        False,
+    )
+    NOT_BACK = "not back after an encounter{promise}", False
+    # what happened before
+    SILENT = "UAV {uav} silent from {t_s:.2f} s", True
+    HELD = _HELD, False
+    HELD_WITHOUT_LOSS = (
+        _HELD,
+        True,
+    )  # messages were late, and the scenario neither loses nor delays any
+    DEADLOCK = "in a deadlock for {s:.2f} s, avoidance left no way", False
+    SATURATED = "at a limit of speed, acceleration or thrust for {s:.2f} s", False
+
+    def __init__(self, words: str, voids: bool) -> None:
+        self.words, self.voids = words, voids
+
+    def because(self, **figures: Any) -> Reason:
+        """The reason with its figures in words."""
+        return Reason(self, self.words.format(**figures))
+
+
+class Reason(NamedTuple):
+    """One cause in one flight."""
+
+    cause: Cause
+    text: str
 
 
 @dataclass(frozen=True)
@@ -61,177 +128,10 @@ class UavVerdict:
     ]  # those of the shape, or legs of a mission, that were due in this leg, after its deadline
 
 
-def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
-    """Rise of a counter between two times after the epoch."""
-    counters = recording.counters.get(uav)
-    if counters is None:
-        return 0.0
-    begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
-    return counter_rise(counters, name, begin, end)
-
-
-def _left_again(found: UavVerdict) -> bool:
-    """True if the error met the tolerance at the deadline and left the band after it."""
-    at, settled = found.error_at_deadline_m, found.settling_s
-    late = settled is None or settled > found.deadline_s
-    return late and at is not None and at <= found.tolerance_m
-
-
-def _late(found: UavVerdict, end_s: float) -> str:
-    """By how much the deadline was missed when nothing excuses it, empty when it was met."""
-    settled, band = found.settling_s, f"{found.band_m:.3f} m"
-    if _left_again(found):
-        until = "the end" if settled is None else f"{settled:.2f} s"
-        return f"met at the deadline, but outside {band} again until {until}"
-    if settled is None:
-        return f"outside {band} until the end at {end_s:.2f} s"
-    if settled > found.deadline_s:
-        return f"settled after {settled:.2f} s"
-    error = found.error_at_deadline_m
-    if error is None or error > found.tolerance_m:
-        return f"error at the deadline above {found.tolerance_m:g} m"
-    return ""
-
-
-def _unrecovered(found: UavVerdict, figures: ErrorFigures) -> str:
-    """The reason why an encounter over the deadline does not excuse the miss, empty when it does."""
-    at, regained, due = figures.at_due, figures.regained_s, f"{found.due_s:.2f} s"
-    if at is None:
-        return "an encounter lasts over the deadline until the end"
-    if at > found.tolerance_m:
-        return (
-            f"{at:.3f} m off at {due}, when it had to be back after an encounter{_in_time(figures)}"
-        )
-    if regained is None or regained > found.due_s:
-        until = "the end" if regained is None else f"{regained:.2f} s"
-        return f"back at {due} after an encounter, but outside {found.band_m:.3f} m again until {until}"
-    return ""
-
-
-def _in_time(figures: ErrorFigures) -> str:
-    """The recovery time that was not enough, in words."""
-    one = figures.unregained()
-    return "" if one is None else f" that ended at {one.over_s:.2f} s, in {one.promised_s:.2f} s"
-
-
-def _late_change(found: UavVerdict) -> str:
-    """The first change of the shape that came about too late, empty when none did."""
-    for change in found.changes:
-        error = change.error_m
-        if error is not None and not change.excused and error > found.tolerance_m:
-            return f"{error:.3f} m off at {change.due_s:.2f} s, when {change.what} was due"
-    return ""
-
-
-def _shortest_s(recording: Recording, uav: int) -> float | None:
-    """Shortest deadline [s] from where a UAV was at the epoch; None for one that came later, by its own deadline."""
-    there = {
-        one
-        for one in recording.scenario.uav_ids
-        if not any(
-            gap.begin_ns <= recording.start_ns < gap.end_ns for gap in recording.absences[one]
-        )
-    }
-    flown = recording.flown
-    if not {uav, flown.leader.id} <= there:
-        return None
-    at = recording.positions(np.array([recording.start_ns]))
-    begin_s = float(recording.since_first(np.array([recording.start_ns]))[0])
-    starts = EpochPlaces({one: at[one][0] for one in there}, {one: one for one in there}, begin_s)
-    return shortest_from(flown, starts, uav)
-
-
-def _too_short(recording: Recording, found: UavVerdict) -> str:
-    """The deadline that the limits of the vehicle allow from where it was at the epoch, when that is longer."""
-    shortest = _shortest_s(recording, found.uav)
-    if shortest is None or shortest <= found.deadline_s:
-        return ""
-    return f"the limits allow no deadline below {shortest:.2f} s, which no encounter excuses"
-
-
-def _miss(recording: Recording, found: UavVerdict, figures: ErrorFigures) -> str:
-    """By how much the deadline was missed, empty when it was met."""
-    miss = _late(found, figures.end_s) or _late_change(found)
-    if miss and found.due_s > found.deadline_s:
-        too_short = _too_short(recording, found)
-        if too_short:
-            return f"{miss}, {too_short}"
-        unrecovered = _unrecovered(found, figures)
-        miss = f"{miss}, {unrecovered}" if unrecovered else ""
-    elif miss and _left_again(found) and _in_time(figures):
-        miss = f"{miss}, not back after an encounter{_in_time(figures)}"
-    after_s = figures.end_s - found.deadline_s - figures.absent_s
-    if not miss and found.excused_outside_s - figures.absent_s > MOST_EXCUSED * after_s:
-        return (
-            f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s of the "
-            f"{after_s:.2f} s after the deadline"
-        )
-    return miss
-
-
-def _excuse(found: UavVerdict) -> str:
-    """The excuse of a met deadline by encounters; empty when it needs none."""
-    if not found.excused_outside_s and not _late(found, np.inf):
-        return found.membership
-    due = f", the deadline counted at {found.due_s:.2f} s" if _late(found, np.inf) else ""
-    if found.membership:
-        return f"{found.membership}{due}"
-    return f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s{due}"
-
-
-def _lost(recording: Recording, uav: int) -> list[str]:
-    """The processes that a UAV depends on and that fell silent, in words."""
-    needed = dict.fromkeys([*ancestors(recording.flown, uav), recording.flown.leader.id])
-    if recording.scenario.formation.reconfigures:
-        needed = {uav: None}  # the others go on without the lost one
-    silent = ((one, silent_from_s(recording, one)) for one in needed)
-    return [f"UAV {one} silent from {t_s:.2f} s" for one, t_s in silent if t_s is not None]
-
-
-def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list[str], bool]:
-    """The events before a missed deadline or a late exit, and whether they void the verdict.
-
-    Only what the UAVs could not help voids it: a lost process, and messages that were late although the
-    scenario neither loses nor delays any.
-    """
-    span = (0.0, found.due_s)
-    if _left_again(found):
-        span = (found.deadline_s, end_s if found.settling_s is None else found.settling_s)
-    lost = _lost(recording, found.uav)
-    causes = list(lost)
-    held = _rise(recording, found.uav, "holding_s", span)
-    saturated = _rise(recording, found.uav, "saturated_s", span)
-    if held > 0:
-        causes.append(f"held for {held:.2f} s, link stale")
-    blocked = _rise(recording, found.uav, "deadlock_s", span)
-    if blocked > 0:
-        causes.append(f"in a deadlock for {blocked:.2f} s, avoidance left no way")
-    if saturated > 0:
-        causes.append(f"at a limit of speed, acceleration or thrust for {saturated:.2f} s")
-    late = (
-        held > 0 and not recording.scenario.lossy and not recording.scenario.formation.reconfigures
-    )
-    return causes, bool(lost) or late
-
-
-def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
-    """The time from which a UAV's numbers are not finite; empty when all are finite.
-
-    The error is not finite either when the leader's odometry is not.
-    """
-    own = [first_bad_s(recording, of.get(uav)) for of in (recording.odometry, recording.wrench)]
-    times = [time for time in own if time is not None]
-    if times:
-        return f"state not finite from t = {min(times):.2f} s"
-    bad_s = figures.not_finite_s
-    return "" if bad_s is None else f"error not finite from t = {bad_s:.2f} s"
-
-
 def judge(
     recording: Recording,
     uav: int,
     figures: ErrorFigures,
-    tolerance: float,
     covers: Mapping[int, Coverage],
     intrusion: str = "",
 ) -> UavVerdict:
@@ -241,67 +141,32 @@ def judge(
         recording: the leg.
         uav: the UAV.
         figures: its formation error over the whole leg.
-        tolerance: limit of the error at the deadline [m].
         covers: coverage of the odometry of every UAV.
         intrusion: the keep-outs that it entered, in words; empty when it entered none.
     """
-    found = _of_deadline(recording, uav, figures, tolerance, covers)
-    if not intrusion:
-        return found
-    return replace(
-        found, verdict=VIOLATED, reason=", ".join(filter(None, (intrusion, found.reason)))
-    )
-
-
-def _of_deadline(
-    recording: Recording,
-    uav: int,
-    figures: ErrorFigures,
-    tolerance: float,
-    covers: Mapping[int, Coverage],
-) -> UavVerdict:
-    """The verdict on the deadline of one UAV, whatever it came near to."""
-    found = _measured(recording, uav, figures, tolerance, covers[uav])
-    not_finite = _not_finite(recording, uav, figures)
-    if not_finite:
-        # Comparisons with NaN are false: the error would seem never to leave the band.
-        return replace(found, verdict=MISSED, reason=not_finite, settling_s=None)
-    end_s = figures.end_s
-    if found.lost:
-        return replace(found, verdict=VOID, reason=found.membership)
-    short = found.error_at_deadline_m is None
-    miss = f"recording ends after {end_s:.2f} s" if short else _miss(recording, found, figures)
-    hole = incomplete(recording, uav, covers)
-    if hole:
-        parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]
-        return replace(found, verdict=VOID, reason=", ".join(parts))
-    if short:
-        return replace(found, verdict=VOID, reason=miss)
-    if not miss:
-        return replace(found, excuse=_excuse(found))
-    causes, void = _causes(recording, found, end_s)
-    return replace(found, verdict=VOID if void else MISSED, reason=", ".join([miss, *causes]))
-
-
-def _measured(
-    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, cover: Coverage
-) -> UavVerdict:
-    """All figures of one UAV."""
-    regain, away = figures.longest_regain(), recording.absences[uav]
-    deadline = recording.scenario.gains.formation.deadline_s
-    start, at = figures.start_error, figures.at_deadline
+    reasons = _reasons(recording, uav, figures, covers)
+    membership, causes = recording.members.text(uav), {reason.cause for reason in reasons}
+    if intrusion:
+        verdict = VIOLATED
+    elif any(cause.voids for cause in causes):
+        verdict = VOID
+    else:
+        verdict = MISSED if reasons else MET
+    not_finite = causes & {Cause.STATE_NOT_FINITE, Cause.ERROR_NOT_FINITE}
+    regain, start, at = figures.longest_regain(), figures.start_error, figures.at_deadline
+    until_deadline = (0.0, figures.deadline_s)
     return UavVerdict(
         uav=uav,
-        slot=recording.slot(uav),
-        verdict=MET,
-        reason="",
-        excuse="",
-        deadline_s=deadline,
+        slot=recording.slots.get(recording.start_ns, {}).get(uav, uav),
+        verdict=verdict,
+        reason=", ".join([*filter(None, [intrusion]), *(reason.text for reason in reasons)]),
+        excuse="" if reasons else _excuse(figures, membership),
+        deadline_s=figures.deadline_s,
         due_s=figures.due_s,
         start_error_m=start,
         band_m=figures.band,
-        settling_s=figures.settling_s,
-        tolerance_m=tolerance,
+        settling_s=None if not_finite else figures.settling_s,
+        tolerance_m=figures.tolerance,
         error_at_deadline_m=at,
         residual=at / start if at is not None and start > 0 else None,
         max_error_after_m=figures.max_after,
@@ -311,11 +176,176 @@ def _measured(
         excused_outside_s=figures.excused_outside_s,
         regained_s=None if regain is None else regain.took_s,
         recovery_s=None if regain is None else regain.promised_s,
-        saturated_s=_rise(recording, uav, "saturated_s", (0.0, deadline)),
-        holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
-        missing=cover.missing,
-        longest_gap_s=cover.longest_gap_s,
-        membership=", ".join(one.text(recording.first_ns) for one in away),
-        lost=bool(away) and away[-1].for_good and not away[-1].planned,
+        saturated_s=_rise(recording, uav, "saturated_s", until_deadline),
+        holding_s=_rise(recording, uav, "holding_s", until_deadline),
+        missing=covers[uav].missing,
+        longest_gap_s=covers[uav].longest_gap_s,
+        membership=membership,
+        lost=recording.members.lost(uav),
         changes=figures.at_changes,
     )
+
+
+def _reasons(
+    recording: Recording, uav: int, figures: ErrorFigures, covers: Mapping[int, Coverage]
+) -> list[Reason]:
+    """Why the deadline was not met; empty when it was, whatever the UAV came near to."""
+    tracks = recording.odometry[uav], recording.wrench.get(uav)
+    bad = [t_s for track in tracks if (t_s := first_bad_s(recording, track)) is not None]
+    if bad:
+        # Comparisons with NaN are false: the error would seem never to leave the band.
+        return [Cause.STATE_NOT_FINITE.because(t_s=min(bad))]
+    if figures.not_finite_s is not None:  # the leader's odometry is not
+        return [Cause.ERROR_NOT_FINITE.because(t_s=figures.not_finite_s)]
+    if recording.members.lost(uav):
+        return [Cause.LOST.because(membership=recording.members.text(uav))]
+    ended = figures.at_deadline is None
+    miss = [] if ended else _miss(recording, uav, figures)
+    if hole := incomplete(recording, uav, covers):
+        return [Cause.INCOMPLETE.because(hole=hole), *miss]
+    if ended:
+        return [Cause.ENDED.because(end_s=figures.end_s)]
+    return [*miss, *_before(recording, uav, figures)] if miss else []
+
+
+def _miss(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reason]:
+    """By how much the deadline was missed, and why no encounter excuses that; empty when it was met."""
+    late = _late(figures) or _late_change(figures)
+    if late is not None:
+        if figures.due_s > figures.deadline_s:
+            inexcusable = _too_short(recording, uav, figures) or _unrecovered(figures)
+            if inexcusable is not None:
+                return [late, inexcusable]
+        elif _left_again(figures) and (promise := _broken_promise(figures)):
+            return [late, Cause.NOT_BACK.because(promise=promise)]
+        else:
+            return [late]
+    after_s = figures.end_s - figures.deadline_s - figures.absent_s
+    outside_s = figures.excused_outside_s
+    if outside_s - figures.absent_s > MOST_EXCUSED * after_s:
+        return [Cause.NEAR_OBJECTS.because(band=figures.band, outside_s=outside_s, after_s=after_s)]
+    return []
+
+
+def _left_again(figures: ErrorFigures) -> bool:
+    """True if the error met the tolerance at the deadline and left the band after it."""
+    at, settled = figures.at_deadline, figures.settling_s
+    late = settled is None or settled > figures.deadline_s
+    return late and at is not None and at <= figures.tolerance
+
+
+def _until(t_s: float | None) -> str:
+    return "the end" if t_s is None else f"{t_s:.2f} s"
+
+
+def _late(figures: ErrorFigures) -> Reason | None:
+    """By how much the deadline was missed when nothing excuses it; None when it was met."""
+    settled, at = figures.settling_s, figures.at_deadline
+    if _left_again(figures):
+        return Cause.LEFT_AGAIN.because(band=figures.band, until=_until(settled))
+    if settled is None:
+        return Cause.OUTSIDE.because(band=figures.band, end_s=figures.end_s)
+    if settled > figures.deadline_s:
+        return Cause.SETTLED_LATE.because(t_s=settled)
+    if at is None or at > figures.tolerance:
+        return Cause.TOO_LARGE.because(tolerance=figures.tolerance)
+    return None
+
+
+def _late_change(figures: ErrorFigures) -> Reason | None:
+    """The first change of the shape that came about too late; None when none did."""
+    for change in figures.at_changes:
+        error = change.error_m
+        if error is not None and not change.excused and error > figures.tolerance:
+            return Cause.LATE_CHANGE.because(error=error, due_s=change.due_s, what=change.what)
+    return None
+
+
+def _too_short(recording: Recording, uav: int, figures: ErrorFigures) -> Reason | None:
+    """The deadline that the limits of the vehicle allow from where it was at the epoch, when that is longer.
+
+    A UAV that came later has its own deadline.
+    """
+    flown, start_ns = recording.flown, recording.start_ns
+    there = recording.members.at(start_ns)
+    if not {uav, flown.leader.id} <= there:
+        return None
+    at = recording.at(np.array([start_ns]))
+    begin_s = float(seconds(at.stamps, recording.first_ns)[0])
+    starts = EpochPlaces(
+        {other: at.positions[other][0] for other in there},
+        {other: other for other in there},
+        begin_s,
+    )
+    shortest = shortest_from(flown, starts, uav)
+    if shortest is None or shortest <= figures.deadline_s:
+        return None
+    return Cause.TOO_SHORT.because(shortest=shortest)
+
+
+def _unrecovered(figures: ErrorFigures) -> Reason | None:
+    """Why an encounter over the deadline does not excuse the miss; None when it does."""
+    at, regained, due_s = figures.at_due, figures.regained_s, figures.due_s
+    if at is None:
+        return Cause.NEVER_OVER.because()
+    if at > figures.tolerance:
+        promise = _broken_promise(figures)
+        return Cause.NOT_BACK_WHEN_DUE.because(error=at, due_s=due_s, promise=promise)
+    if regained is None or regained > due_s:
+        return Cause.BACK_AND_AWAY.because(due_s=due_s, band=figures.band, until=_until(regained))
+    return None
+
+
+def _broken_promise(figures: ErrorFigures) -> str:
+    """The recovery time that was not enough, in words; empty when all were."""
+    regain = figures.unregained()
+    if regain is None:
+        return ""
+    return f" that ended at {regain.over_s:.2f} s, in {regain.promised_s:.2f} s"
+
+
+def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
+    """Rise of a counter between two times after the epoch."""
+    counters = recording.counters.get(uav)
+    if counters is None:
+        return 0.0
+    begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
+    return counter_rise(counters, name, begin, end)
+
+
+def _before(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reason]:
+    """What happened before a missed deadline or a late exit."""
+    scenario, leader = recording.scenario, recording.flown.leader.id
+    span = (0.0, figures.due_s)
+    if _left_again(figures):
+        settled = figures.settling_s
+        span = (figures.deadline_s, figures.end_s if settled is None else settled)
+    needed = dict.fromkeys([*ancestors(recording.flown, uav), leader])
+    if scenario.formation.reconfigures:
+        needed = {uav: None}  # the others go on without the lost one
+    reasons = [
+        Cause.SILENT.because(uav=other, t_s=t_s)
+        for other in needed
+        if (t_s := silent_from_s(recording, other)) is not None
+    ]
+    excusable = scenario.lossy or scenario.formation.reconfigures
+    for name, cause in (
+        ("holding_s", Cause.HELD if excusable else Cause.HELD_WITHOUT_LOSS),
+        ("deadlock_s", Cause.DEADLOCK),
+        ("saturated_s", Cause.SATURATED),
+    ):
+        rise = _rise(recording, uav, name, span)
+        if rise > 0:
+            reasons.append(cause.because(s=rise))
+    return reasons
+
+
+def _excuse(figures: ErrorFigures, membership: str) -> str:
+    """What a met deadline owes to encounters, in words; empty when nothing."""
+    late = _late(figures) is not None
+    if not late and not figures.excused_outside_s:
+        return membership
+    due = f", the deadline counted at {figures.due_s:.2f} s" if late else ""
+    if membership:
+        return f"{membership}{due}"
+    return f"outside {figures.band:.3f} m near objects for {figures.excused_outside_s:.2f} s{due}"

@@ -20,12 +20,14 @@ from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.timebase import plan_duration
 from ptnsbc_core.types import Array
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.build import loop_of, recovery_config
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
-from ptnsbc_sim.verdict.recording import COUNTERS, Recording
+from ptnsbc_sim.verdict.members import by_phase
+from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive
@@ -103,39 +105,45 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
 
 def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     """Encounters of every UAV, recovery included."""
-    scenario = recording.flown
+    scenario, absences = recording.flown, recording.members.absences
     own = {uav: rising(track, _ACTIVE) for uav, track in recording.counters.items()}
     away = {
-        uav: [(one.begin_ns, min(one.end_ns, recording.end_ns)) for one in absent]
-        for uav, absent in recording.absences.items()
+        uav: [(span.begin_ns, min(span.end_ns, recording.end_ns)) for span in spans]
+        for uav, spans in absences.items()
     }
     for window, concerned in _changes(recording):
         for uav in concerned:
             own.setdefault(uav, []).append(window)
-    spans_of = [*own.values(), *away.values()]
-    ends = np.unique([end for windows in spans_of for _, end in windows]).astype(np.int64)
+    windows = [window for of_uav in (*own.values(), *away.values()) for window in of_uav]
+    ends = np.unique([end for _, end in windows]).astype(np.int64)
     if not ends.size:
         return {uav: [] for uav in scenario.uav_ids}
+    place = {end: k for k, end in enumerate(ends.tolist())}
     off = _to_regain(recording, ends)
     lasts_s = {uav: _recovery_of(scenario, uav) for uav in scenario.uav_ids}
     cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
-    found = {}
+
+    def encounter(window: Window, uavs: Iterable[int]) -> Encounter:
+        """A window, and the way back of the slowest of these UAVs."""
+        begin, end = window
+        back_s = max(lasts_s[uav](float(off[uav][place[end]])) for uav in uavs)
+        return Encounter(begin, end, end + round(back_s * 1e9))
+
+    result = {}
     for uav in scenario.uav_ids:
         spans = []
         for phase, (from_ns, until_ns) in zip(recording.phases, pairwise(cuts_ns), strict=True):
             line = ancestors(phase.scenario, uav)
-            for hops, one in enumerate(line):
-                for begin, end in own.get(one, ()):
-                    if end < from_ns or begin >= until_ns:
-                        continue
-                    k = int(np.searchsorted(ends, end))
-                    back_s = max(lasts_s[kin](float(off[kin][k])) for kin in line[: hops + 1])
-                    spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
-        for begin, end in away[uav]:  # a UAV that comes has its own deadline, and disturbs nobody
-            back_s = lasts_s[uav](float(off[uav][int(np.searchsorted(ends, end))]))
-            spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
-        found[uav] = _joined(spans)
-    return found
+            for hops, ancestor in enumerate(line):
+                spans += [
+                    encounter(window, line[: hops + 1])
+                    for window in own.get(ancestor, ())
+                    if window[1] >= from_ns and window[0] < until_ns
+                ]
+        # A UAV that comes has its own deadline, and disturbs nobody.
+        spans += [encounter(window, (uav,)) for window in away[uav]]
+        result[uav] = _joined(spans)
+    return result
 
 
 def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
@@ -149,11 +157,11 @@ def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
         if phase.moved:
             begin_ns = phase.begin_ns - stale_ns - recording.scenario.timing.dt_ns
             yield (begin_ns, phase.begin_ns), phase.moved
-    for uav, spans in recording.absences.items():
-        for one in spans:
-            ((phase, _),) = recording.by_phase(np.array([one.begin_ns]))
-            if not one.planned and phase.scenario.leader.id == uav:
-                yield (one.begin_ns, one.noticed_ns), recording.scenario.uav_ids
+    for uav, spans in recording.members.absences.items():
+        for span in spans:
+            ((phase, _),) = by_phase(recording.phases, np.array([span.begin_ns]))
+            if not span.planned and phase.scenario.leader.id == uav:
+                yield (span.begin_ns, span.noticed_ns), recording.scenario.uav_ids
 
 
 def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:
@@ -162,35 +170,28 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     It is the deviation from the plan, and what the velocity at which it grows adds until the loop has stopped it. Until
     the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
     """
-    scenario = recording.flown
+    scenario, start_ns = recording.flown, recording.start_ns
     gain = loop_of(scenario, scenario.gains.formation)  # as flown
     slowing_s, duration_s = 1.0 / max(gain.scale * gain.kappa, 1e-9), plan_duration(gain)
-    start_ns = np.array([recording.start_ns])
-    looked = np.clip(
-        np.concatenate((start_ns, ends, ends + _GROWTH_NS)), recording.start_ns, recording.end_ns
-    )
-    grid, which = np.unique(looked, return_inverse=True)
+    looked = np.concatenate(([start_ns], ends, ends + _GROWTH_NS)).clip(start_ns, recording.end_ns)
+    stamps, which = np.unique(looked, return_inverse=True)
     begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
-    times = recording.times(grid)
+    block = recording.at(stamps)
     turn = turn_of(scenario)
-    left = np.array([left_at(turn, t / duration_s) for t in times.tolist()])
-    away = {}
-    for uav, vectors in formation_vectors(recording, grid, recording.positions(grid)).items():
-        if uav != scenario.leader.id:
-            vectors = vectors - _turned(left, vectors[begin])
+    left = np.array([left_at(turn, t / duration_s) for t in block.times.tolist()])
+    off = {}
+    for uav, vectors in formation_vectors(recording, block).items():
+        if uav == scenario.leader.id:
+            vectors[block.times < gain.duration_s] = 0.0
         else:
-            vectors[times < gain.duration_s] = 0.0
+            x, y, z = vectors[begin]  # the start error, of which `left` is left
+            along, across, up = left.T
+            plan = np.stack([along * x - across * y, across * x + along * y, up * z], axis=1)
+            vectors = vectors - plan
         beside = lengths(vectors)
         growing = np.maximum(beside[soon] - beside[now], 0.0) / (_GROWTH_NS * 1e-9)
-        away[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
-    return away
-
-
-def _turned(left: Array, start: Array) -> Array:
-    """The planned errors (T, 3) [m] for what is left (T, 3) of a start error (3,) [m]."""
-    x, y, z = start
-    along, across, up = left.T
-    return np.stack([along * x - across * y, across * x + along * y, up * z], axis=1)
+        off[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
+    return off
 
 
 def _joined(spans: Iterable[Encounter]) -> list[Encounter]:

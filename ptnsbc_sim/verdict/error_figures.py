@@ -11,7 +11,8 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, is_cut_short
 from ptnsbc_sim.verdict.encounters import Encounter, inside
-from ptnsbc_sim.verdict.recording import NANO, Recording
+from ptnsbc_sim.verdict.recording import NANO, Instants, Recording
+from ptnsbc_sim.verdict.track import ValueAt, max_of
 
 SHARE_OF_START = 0.02
 """Share of the start error that widens the band of the settling time."""
@@ -32,22 +33,6 @@ class ChangeError:
     due_s: float  # the end of it
     error_m: float | None  # None: the leg ends before it
     excused: bool  # an encounter lasts over it
-
-
-class ValueAt:
-    """The value of a curve at one time [s], interpolated; None while the curve ends before that time."""
-
-    def __init__(self, t_s: float) -> None:
-        self.value: float | None = None
-        self._t_s = t_s
-        self._last = (_NONE, _NONE)
-
-    def add(self, times: Array, values: Array) -> None:
-        """Take the next samples (T,) [s] and (T,)."""
-        if self.value is None and times[-1] >= self._t_s:
-            t, v = (np.concatenate(pair) for pair in zip(self._last, (times, values), strict=True))
-            self.value = float(np.interp(self._t_s, t, v))
-        self._last = times[-1:], values[-1:]
 
 
 class _LastExit:
@@ -97,13 +82,13 @@ class ErrorFigures:
     ) -> None:
         self._recording = recording
         deadline = recording.scenario.gains.formation.deadline_s
-        self._deadline_s = deadline
+        self.deadline_s = deadline
         self._windows = windows
         start_ns = recording.start_ns
         spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, _, b in self._windows]
         # Only encounters that begin after the deadline are left out of the settling time.
         self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
-        self._tolerance = tolerance
+        self.tolerance = tolerance
         self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
         self.regains = [
             Regain((one.over_ns - start_ns) * NANO, (one.back_ns - one.over_ns) * NANO)
@@ -116,7 +101,7 @@ class ErrorFigures:
         due_ns = recording.start_ns + round(deadline / NANO)
         self.absent_s = sum(
             max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0) * NANO
-            for one in recording.absences[uav]
+            for one in recording.members.absences[uav]
         )
         self._last = _NONE  # time and error of the newest sample
         self._squares = 0.0  # sum of the squared errors after the deadline
@@ -129,17 +114,17 @@ class ErrorFigures:
         self.excused_outside_s = 0.0  # after the deadline, inside encounters and outside the band
         self.not_finite_s: float | None = None
 
-    def add(self, grid: NDArray[np.int64], error: Array) -> None:
-        """Take the next errors (T,) [m] at (T,) [ns]."""
-        times = self._recording.times(grid)
+    def add(self, block: Instants, error: Array) -> None:
+        """Take the next errors (T,) [m]."""
+        times = block.times
         if not self._last.size:
             self.start_error = float(error[0])
-            self.band = max(self._tolerance, SHARE_OF_START * self.start_error)
-        due = int(times.searchsorted(self._deadline_s - _EXACT_S))
+            self.band = max(self.tolerance, SHARE_OF_START * self.start_error)
+        due = int(times.searchsorted(self.deadline_s - _EXACT_S))
         outside = error > self.band
         if self._windows:
-            near = inside(self._windows, grid)
-            self._settled.add(times, outside & ~inside(self._later, grid))
+            near = inside(self._windows, block.stamps)
+            self._settled.add(times, outside & ~inside(self._later, block.stamps))
             self._regained.add(times, outside & ~near, due)
             self._take_after(error[due:], error[due:][~near[due:]])
             self._take_encounters(times, outside, near, due)
@@ -226,7 +211,7 @@ class ErrorFigures:
     @property
     def at_due(self) -> float | None:
         """The error when it was due [m]; None when the leg ends before."""
-        return self._at_due.value if self.due_s > self._deadline_s else self.at_deadline
+        return self._at_due.value if self.due_s > self.deadline_s else self.at_deadline
 
     @property
     def rmse_after(self) -> float | None:
@@ -263,8 +248,3 @@ def _changes_due(
         excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
         found.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
     return found
-
-
-def max_of(first: float, second: float) -> float:
-    """The larger of two numbers, NaN when one of them is NaN."""
-    return float(np.maximum(first, second))

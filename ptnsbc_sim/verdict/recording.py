@@ -5,35 +5,41 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 from ptnsbc_sim.scenario.slots import are_open, with_slots
-from ptnsbc_sim.verdict.phases import Absence, Phase, absences, phases
+from ptnsbc_sim.verdict.members import Members, Phase
 from ptnsbc_sim.verdict.track import Track
 
 NANO = 1e-9
 FORMATION = "form"  # name of the legs that have a deadline
 LANDING = "land"
 
+Epochs = tuple[tuple[int, str], ...]  # t0 [ns] and leg, ascending
+
 
 class VerdictError(PtnsbcError):
     """A recording that cannot be judged."""
 
 
-def with_said(
-    scenario: Scenario, epochs: tuple[tuple[int, str], ...]
-) -> tuple[Scenario, tuple[tuple[int, str], ...]]:
-    """The scenario as its mission was flown, and the epochs (t0 [ns], leg) without what was said of it."""
-    legs = tuple(one for one in epochs if number_of(one[1]) is None)
-    first_ns = next((t0_ns for t0_ns, leg in legs if leg == FORMATION), None)
+def first_formation_ns(epochs: Epochs) -> int | None:
+    """The epoch [ns] of the first formation leg; None without one."""
+    return next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
+
+
+def with_said(scenario: Scenario, epochs: Epochs) -> tuple[Scenario, Epochs]:
+    """The scenario as its mission was flown, and the epochs without what was said of it."""
+    legs = tuple(epoch for epoch in epochs if number_of(epoch[1]) is None)
+    first_ns = first_formation_ns(legs)
     words = sorted(
         Word(number, (t0_ns - first_ns) * NANO)
         for t0_ns, leg in epochs
@@ -45,15 +51,13 @@ def with_said(
     return scenario, legs
 
 
-def with_taken(
-    scenario: Scenario, epochs: tuple[tuple[int, str], ...], taken: Sequence[tuple[int, Array]]
-) -> Scenario:
+def with_taken(scenario: Scenario, epochs: Epochs, taken: Sequence[tuple[int, Array]]) -> Scenario:
     """The scenario whose leader follows the setpoints that it has taken in flight: from when [ns], and (13,) each.
 
     Raises:
         VerdictError: the leader cannot have followed them.
     """
-    first_ns = next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
+    first_ns = first_formation_ns(epochs)
     if not taken or first_ns is None or not scenario.takes_setpoints:
         return scenario
     try:
@@ -64,11 +68,9 @@ def with_taken(
         raise VerdictError(f"the setpoints that the leader has taken: {error}") from None
 
 
-def with_landing(
-    scenario: Scenario, epochs: tuple[tuple[int, str], ...]
-) -> tuple[tuple[int, str], ...]:
-    """Epochs (t0 [ns], leg) with the landing of the mission, which every UAV begins by itself."""
-    first_ns = next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
+def with_landing(scenario: Scenario, epochs: Epochs) -> Epochs:
+    """Epochs with the landing of the mission, which every UAV begins by itself."""
+    first_ns = first_formation_ns(epochs)
     if first_ns is None or scenario.landing_ns is None:
         return epochs
     t0_ns = first_ns + scenario.landing_ns
@@ -76,41 +78,29 @@ def with_landing(
     return tuple(sorted((*epochs, (t0_ns, LANDING)))) if before[-1] == FORMATION else epochs
 
 
-COUNTERS = (
-    "avoidance_active_s",
-    "saturated_s",
-    "holding_s",
-    "missed_ticks",  # since the process started
-    "priority_violation_max",  # [m/s]
-    "deadlock_s",
-)
-"""Columns of the counters that a UAV publishes on /diagnostics, counted from its start."""
+def seconds(stamps: NDArray[np.int64], zero_ns: int) -> Array:
+    """Seconds (T,) after an instant."""
+    return np.asarray((stamps - zero_ns) * NANO, dtype=np.float64)
 
 
-def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
-    """Rise of a counter between two instants."""
-    column = COUNTERS.index(name)
+class Instants(NamedTuple):
+    """Instants that are judged together."""
 
-    def before(end: int) -> float:
-        return float(counters.rows(end - 1, end).values[0, column])
-
-    last = counters.index(end_ns, "right")
-    if not last:
-        return 0.0
-    first = counters.index(start_ns, "left") if start_ns > counters.first_ns else 0
-    return max(before(last) - (before(first) if first else 0.0), 0.0)
+    stamps: NDArray[np.int64]  # (T,) [ns]
+    times: Array  # (T,) [s] after the epoch of the leg
+    positions: dict[int, Array]  # (T, 3) [m], ENU, of every UAV, axis by axis in memory
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A whole flight."""
+    """A whole flight, of which one leg is judged."""
 
     scenario: Scenario
     odometry: Mapping[int, Track]  # (T, 13) per UAV
     wrench: Mapping[int, Track]  # (T, 6) per UAV; may lack UAVs
     estimate: Mapping[int, Track]  # (T, 13) per UAV; may lack UAVs
     counters: Mapping[int, Track]  # (T, 6) per UAV, `COUNTERS`; may lack UAVs
-    epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
+    epochs: Epochs  # empty when not recorded
     truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV; simulators only
     # (T, 1) per UAV: odometry messages sent until each stamp, counted by the bridge
     sent: Mapping[int, Track] = field(default_factory=dict)
@@ -118,23 +108,22 @@ class Recording:
     leg: int = 0  # which of the formation legs is judged
     # slot of every UAV by the epoch [ns] that decided it; empty where every UAV has its own
     slots: Mapping[int, Mapping[int, int]] = field(default_factory=dict)
-    injected: tuple[
-        str, ...
-    ] = ()  # faults of an operator, in words; those of the scenario are in it
+    # faults of an operator, in words; those of the scenario are in it
+    injected: tuple[str, ...] = ()
     window_s: float | None = None  # judge only so many seconds after its epoch
 
     @cached_property
     def forms(self) -> tuple[int, ...]:
         """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded."""
-        found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
-        return found or (min(track.first_ns for track in self.odometry.values()),)
+        forms = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
+        return forms or (min(track.first_ns for track in self.odometry.values()),)
 
-    @cached_property
+    @property
     def first_ns(self) -> int:
         """Epoch of the first formation leg, from which the leader's trajectory is counted."""
         return self.forms[0]
 
-    @cached_property
+    @property
     def start_ns(self) -> int:
         """Epoch of the leg, from which deadlines are counted."""
         return self.forms[self.leg]
@@ -156,58 +145,35 @@ class Recording:
         return with_slots(self.scenario, self.slots[self.start_ns])
 
     @cached_property
-    def absences(self) -> Mapping[int, tuple[Absence, ...]]:
-        """The times during which each UAV did not belong to the formation."""
-        return absences(self.scenario, self.estimate, self.first_ns)
+    def members(self) -> Members:
+        """Who was in the formation, and when."""
+        return Members(self.scenario, self.estimate, self.first_ns)
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
         """The phases of the flight, in each of which the graph does not change."""
-        return phases(self.flown, self.absences, self.first_ns)
-
-    def by_phase(self, grid: NDArray[np.int64]) -> Iterator[tuple[Phase, slice]]:
-        """The phases of the instants (T,) [ns], and which instants are in each."""
-        cuts = np.searchsorted(grid, [phase.begin_ns for phase in self.phases[1:]]).tolist()
-        for phase, (first, end) in zip(self.phases, pairwise([0, *cuts, len(grid)]), strict=True):
-            if first < end:
-                yield phase, slice(first, end)
-
-    def slot(self, uav: int) -> int:
-        """The slot that a UAV took in this leg."""
-        return self.slots.get(self.start_ns, {}).get(uav, uav)
-
-    @cached_property
-    def due_ns(self) -> int:
-        """The time at which the leg should end: at the next epoch, the end of the window, or the end of the flight."""
-        return self._ended(self.first_ns + self.scenario.timing.ticks * self.scenario.timing.dt_ns)
-
-    @cached_property
-    def staying(self) -> tuple[int, ...]:
-        """The UAVs that have not gone for good; all when nobody stays."""
-        gone = {uav for uav, away in self.absences.items() if away and away[-1].for_good}
-        return (
-            tuple(uav for uav in self.scenario.uav_ids if uav not in gone) or self.scenario.uav_ids
-        )
+        return self.members.phases(self.flown)
 
     @cached_property
     def last_ns(self) -> int:
         """The last instant that is recorded of all UAVs which have not gone for good: bridges end with the landing."""
-        return min(self.odometry[uav].last_ns for uav in self.staying)
+        return min(self.odometry[uav].last_ns for uav in self.members.staying)
 
     @cached_property
     def clock(self) -> Track:
         """The odometry whose stamps are the judged instants: of the leader, or of a UAV that stays when it has gone."""
-        uav = self.scenario.leader.id
-        if self.odometry[uav].last_ns < self.last_ns and uav not in self.staying:
-            uav = self.staying[0]
+        uav, staying = self.scenario.leader.id, self.members.staying
+        if self.odometry[uav].last_ns < self.last_ns and uav not in staying:
+            uav = staying[0]
         return self.odometry[uav]
 
     @cached_property
     def end_ns(self) -> int:
         """The end of the judged time: with the leg, or at the last instant that is recorded of all UAVs."""
-        return self._ended(self.last_ns)
+        return self.cut_off(self.last_ns)
 
-    def _ended(self, last_ns: int) -> int:
+    def cut_off(self, last_ns: int) -> int:
+        """An end of the flight [ns], or that of the leg before it: the next epoch, or the end of the window."""
         later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
         if self.window_s is not None:
             later.append(self.start_ns + round(self.window_s / NANO))
@@ -219,54 +185,53 @@ class Recording:
         first, end = self.clock.span(self.start_ns, self.end_ns)
         return end - first
 
-    def grids(self) -> Iterator[NDArray[np.int64]]:
-        """The judged instants, block by block: the leader's stamps from the epoch to the end of the leg."""
-        if self.samples < 2:
-            raise VerdictError(
-                "the recording holds no formation flight: expected odometry of the leader after "
-                f"the epoch at {self.start_ns * NANO:.3f} s"
-            )
-        yield from self.grids_between(self.start_ns, self.end_ns)
-
-    def grids_between(self, start_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
-        """The leader's stamps between two times, both included, block by block."""
-        for block in self.clock.blocks(*self.clock.span(start_ns, end_ns)):
-            yield block.t_ns
-
-    @property
-    def other_legs_ns(self) -> list[tuple[int, int]]:
-        """Begin and end [ns] of the legs that have no deadline, as far as they are recorded; none in a window."""
-        if self.window_s is not None:
-            return []
-        last_ns = self.last_ns
-        ends = [*(t0_ns for t0_ns, _ in self.epochs[1:]), last_ns]
-        spans = zip(self.epochs, ends, strict=False)  # without epochs there are no spans
-        found = [
-            (t0_ns, min(end_ns, last_ns)) for (t0_ns, leg), end_ns in spans if leg != FORMATION
-        ]
-        return [(t0_ns, end_ns) for t0_ns, end_ns in found if self.first_ns <= t0_ns <= end_ns]
-
-    def grid(self) -> NDArray[np.int64]:
-        """All judged instants at once, for short flights."""
-        return np.concatenate(list(self.grids()))
-
-    def times(self, stamps: NDArray[np.int64]) -> Array:
-        """Seconds (T,) after the epoch."""
-        return np.asarray((stamps - self.start_ns) * NANO, dtype=np.float64)
-
-    def since_first(self, stamps: NDArray[np.int64]) -> Array:
-        """Seconds (T,) after the epoch of the first formation leg."""
-        return np.asarray((stamps - self.first_ns) * NANO, dtype=np.float64)
-
     @property
     def judged_by(self) -> str:
         """The source of positions: `truth` where it is recorded of all UAVs, else `odometry`."""
         return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
 
-    def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
-        """Position (T, 3) [m], ENU, of every UAV on the grid, axis by axis in memory."""
+    def at(self, stamps: NDArray[np.int64]) -> Instants:
+        """Times and positions at instants (T,) [ns], ascending."""
         source = self.truth if self.judged_by == "truth" else self.odometry
-        return {uav: np.asfortranarray(source[uav].at(grid, 3)) for uav in self.scenario.uav_ids}
+        positions = {
+            uav: np.asfortranarray(source[uav].at(stamps, 3)) for uav in self.scenario.uav_ids
+        }
+        return Instants(stamps, seconds(stamps, self.start_ns), positions)
+
+    def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Instants]:
+        """The instants of the clock between two times, both included: by default those of the leg.
+
+        Raises:
+            VerdictError: the leg is asked for, and nothing of it is recorded.
+        """
+        if start_ns is None and self.samples < 2:
+            raise VerdictError(
+                "the recording holds no formation flight: expected odometry of the leader after "
+                f"the epoch at {self.start_ns * NANO:.3f} s"
+            )
+        begin_ns = self.start_ns if start_ns is None else start_ns
+        last_ns = self.end_ns if end_ns is None else end_ns
+        for block in self.clock.blocks(*self.clock.span(begin_ns, last_ns)):
+            yield self.at(block.t_ns)
+
+
+def whole(recording: Recording) -> Instants:
+    """All judged instants at once, for short flights; errors as of `blocks`."""
+    return recording.at(np.concatenate([block.stamps for block in recording.blocks()]))
+
+
+def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
+    """Rise of a counter between two instants."""
+    column = COUNTERS.index(name)
+
+    def before(end: int) -> float:
+        return float(counters.rows(end - 1, end).values[0, column])
+
+    last = counters.index(end_ns, "right")
+    if not last:
+        return 0.0
+    first = counters.index(start_ns, "left") if start_ns > counters.first_ns else 0
+    return max(before(last) - (before(first) if first else 0.0), 0.0)
 
 
 def require_all_uavs(recording: Recording) -> None:

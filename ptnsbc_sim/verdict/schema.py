@@ -11,8 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID
-from ptnsbc_sim.verdict.mission import CUT_SHORT
-from ptnsbc_sim.verdict.verdict import Verdict
+from ptnsbc_sim.verdict.verdict import CUT_SHORT, Verdict
 
 _WORD = {"enum": [MET, MISSED, VIOLATED, VOID]}
 

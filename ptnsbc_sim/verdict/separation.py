@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.verdict.recording import Recording
+from ptnsbc_sim.verdict.recording import Instants, Recording, seconds
 from ptnsbc_sim.verdict.track import lengths
 
 
@@ -74,7 +73,7 @@ class Separations:
 
     def __init__(self, recording: Recording) -> None:
         scenario = recording.scenario
-        self._recording = recording
+        self._first_ns = recording.first_ns
         self._pairs = {
             (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.keep_out_between(a, b))
             for a, b in combinations(scenario.uav_ids, 2)
@@ -85,16 +84,16 @@ class Separations:
             for one in scenario.world.bodies
         ]
 
-    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
-        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
-        times = self._recording.since_first(grid)
+    def add(self, block: Instants) -> None:
+        """Take the next instants."""
+        times, positions = seconds(block.stamps, self._first_ns), block.positions
         periods = np.diff(times, append=times[-1])
         for (a, b), pair in self._pairs.items():
             pair.add(times, periods, lengths(positions[a] - positions[b]))
         for uav, obstacle, pair in self._obstacles:
             pair.add(times, periods, obstacle.distances(positions[uav], times))
 
-    def found(self) -> list[Separation]:
+    def results(self) -> list[Separation]:
         """All pairs, the smallest margin first."""
         pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
         return _tightest_first(pair.separation() for pair in pairs)

@@ -25,6 +25,27 @@ def lengths(vectors: Array) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float64)
 
 
+def max_of(first: float, second: float) -> float:
+    """The larger of two numbers, NaN when one of them is NaN."""
+    return float(np.maximum(first, second))
+
+
+class ValueAt:
+    """The value of a curve at one time [s], interpolated; None while the curve ends before that time."""
+
+    def __init__(self, t_s: float) -> None:
+        self.value: float | None = None
+        self._t_s = t_s
+        self._last = (np.empty(0), np.empty(0))
+
+    def add(self, times: Array, values: Array) -> None:
+        """Take the next samples (T,) [s] and (T,)."""
+        if self.value is None and times[-1] >= self._t_s:
+            t, v = (np.concatenate(pair) for pair in zip(self._last, (times, values), strict=True))
+            self.value = float(np.interp(self._t_s, t, v))
+        self._last = times[-1:], values[-1:]
+
+
 class Track(ABC):
     """Samples of one quantity of one UAV, ascending in time; at least one."""
 

@@ -7,33 +7,34 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptnsbc_sim.counters import COUNTERS
+from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
 from ptnsbc_sim.verdict.coverage import coverages
 from ptnsbc_sim.verdict.deadline import (
     MET,
+    MISSED,
     VIOLATED,
     VOID,
     WORST_FIRST,
     UavVerdict,
     judge,
 )
+from ptnsbc_sim.verdict.effort import Effort, effort
 from ptnsbc_sim.verdict.encounters import encounters
 from ptnsbc_sim.verdict.error_figures import ErrorFigures
-from ptnsbc_sim.verdict.figures import (
-    Effort,
+from ptnsbc_sim.verdict.formation_error import (
     EstimatorError,
     EstimatorErrors,
-    effort,
+    formation_errors,
 )
-from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.mission import CUT_SHORT, MissionLegVerdict, mission_legs
 from ptnsbc_sim.verdict.recording import (
-    COUNTERS,
+    FORMATION,
     NANO,
     Recording,
     VerdictError,
@@ -43,6 +44,7 @@ from ptnsbc_sim.verdict.recording import (
 )
 from ptnsbc_sim.verdict.separation import Separation, Separations, intrusion, joined
 
+_EXACT_S = 1e-9
 _VIOLATION = COUNTERS.index("priority_violation_max")
 
 
@@ -61,6 +63,29 @@ class LegVerdict:
         """The worst of its UAVs: violated, else missed, else void, else met; a lost UAV does not count."""
         judged = [uav.verdict for uav in self.uavs if not uav.lost or uav.verdict == VIOLATED]
         return VOID if self.reason or not judged else _worst(judged)
+
+
+CUT_SHORT = "cut short"
+"""The verdict on a leg that gave way to another one before it was due: it is not judged."""
+
+_EXACT_S = 1e-9
+
+
+@dataclass(frozen=True)
+class MissionLegVerdict:
+    """The verdict on one leg of the mission. Times in seconds after the first epoch, the error in metres."""
+
+    number: int  # from 1; 0 for the one that a cancelled leg gave way to
+    name: str
+    kind: str
+    begin_s: float
+    due_s: float
+    error_m: (
+        float | None
+    )  # the largest one when it was due; of a landing the largest height above the ground
+    uav: int | None  # that had it
+    verdict: str  # met | missed | violated | void | cut short
+    reason: str  # why not met, empty when met
 
 
 @dataclass(frozen=True)
@@ -130,15 +155,30 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
 
 def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     require_all_uavs(recording)
-    scenario = recording.scenario
+    scenario, counters = recording.scenario, recording.counters.values()
     estimators = EstimatorErrors(recording)
-    legs = _legs(recording, tolerance, estimators)
-    found = [effort(recording, uav) for uav in scenario.uav_ids]
-    efforts = tuple(one for one in found if one is not None)
-    parts = [*(leg.separations for leg in legs), *_without_deadline(recording)]
-    separations = tuple(joined(parts))
-    start_ns, end_ns = recording.start_ns, legs[0].end_ns
-    counters = recording.counters.values()
+    legs = [_leg(recording, tolerance, estimators)]
+    for number in range(1, len(recording.forms)):
+        later = dataclasses.replace(recording, leg=number)
+        try:
+            legs.append(_leg(later, tolerance))
+        except VerdictError as error:
+            void = LegVerdict(number + 1, later.start_ns * NANO, 0.0, str(error), ())
+            legs.append(_JudgedLeg(void, later.start_ns, []))
+    efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
+    parts = [leg.separations for leg in legs]
+    for start_ns, end_ns in legs_without_deadline(recording):
+        pairs = Separations(recording)
+        for block in recording.blocks(start_ns, end_ns):
+            pairs.add(block)
+        parts.append(pairs.results())
+    separations, first = tuple(joined(parts)), legs[0]
+    missed = (
+        counter_rise(track, "missed_ticks", recording.start_ns, first.end_ns) for track in counters
+    )
+    violations = (
+        track.rows(track.size - 1, track.size).values[0, _VIOLATION] for track in counters
+    )
     return Verdict(
         scenario=scenario.name,
         plant=scenario.plant.kind,
@@ -146,24 +186,19 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         profile=scenario.gains.profile,
         avoidance=scenario.formation.avoidance,
         judged_by=recording.judged_by,
-        epoch_s=start_ns * NANO,
-        duration_s=legs[0].verdict.duration_s,
-        uavs=legs[0].verdict.uavs,
-        efforts=efforts,
+        epoch_s=recording.start_ns * NANO,
+        duration_s=first.verdict.duration_s,
+        uavs=first.verdict.uavs,
+        efforts=tuple(efforts),
         separations=separations,
-        estimators=tuple(estimators.found()),
-        energy=sum(one.energy for one in efforts),
+        estimators=tuple(estimators.results()),
+        energy=sum(of.energy for of in efforts),
         inside_keep_out_s=sum(pair.inside_s for pair in separations),
-        missed_ticks=int(
-            sum(counter_rise(one, "missed_ticks", start_ns, end_ns) for one in counters)
-        ),
-        priority_violation_m_s=max(
-            (float(one.rows(one.size - 1, one.size).values[0, _VIOLATION]) for one in counters),
-            default=0.0,
-        ),
+        missed_ticks=int(sum(missed)),
+        priority_violation_m_s=max(map(float, violations), default=0.0),
         latency_ms=dict(recording.latency),
         legs=tuple(leg.verdict for leg in legs),
-        mission=mission_legs(
+        mission=_mission_legs(
             recording,
             [leg.verdict.uavs for leg in legs],
             [pair for part in parts for pair in part],
@@ -181,55 +216,147 @@ class _JudgedLeg(NamedTuple):
     separations: list[Separation]
 
 
-def _legs(recording: Recording, tolerance: float, of_first: EstimatorErrors) -> list[_JudgedLeg]:
-    """All legs; `of_first` takes the positions of the first one."""
-    found = []
-    for number in range(len(recording.forms)):
-        leg = dataclasses.replace(recording, leg=number)
-        try:
-            found.append(_leg(leg, tolerance, None if number else of_first))
-        except VerdictError as error:
-            if number == 0:
-                raise
-            epoch_s = leg.start_ns * NANO
-            void = LegVerdict(number + 1, epoch_s, 0.0, str(error), ())
-            found.append(_JudgedLeg(void, leg.start_ns, []))
-    return found
-
-
-def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | None) -> _JudgedLeg:
-    uavs = recording.scenario.uav_ids
+def _leg(
+    recording: Recording, tolerance: float, estimators: EstimatorErrors | None = None
+) -> _JudgedLeg:
     windows = encounters(recording)
-    figures = {uav: ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs}
-    covers = coverages(recording)
-    pairs = Separations(recording)
-    end_ns = recording.start_ns
-    for grid in recording.grids():
-        positions = recording.positions(grid)
-        for uav, error in formation_errors(recording, grid, positions).items():
-            figures[uav].add(grid, error)
-        pairs.add(grid, positions)
+    figures = {
+        uav: ErrorFigures(recording, uav, windows[uav], tolerance)
+        for uav in recording.scenario.uav_ids
+    }
+    covers, pairs, end_ns = coverages(recording), Separations(recording), recording.start_ns
+    for block in recording.blocks():
+        for uav, error in formation_errors(recording, block).items():
+            figures[uav].add(block, error)
+        pairs.add(block)
         if estimators is not None:
-            estimators.add(grid, positions)
-        end_ns = int(grid[-1])
-    separations = pairs.found()
-    leg = LegVerdict(
-        recording.leg + 1,
-        recording.start_ns * NANO,
-        float(end_ns - recording.start_ns) * NANO,
-        "",
-        tuple(
-            judge(recording, uav, figures[uav], tolerance, covers, intrusion(separations, uav))
-            for uav in uavs
-        ),
+            estimators.add(block)
+        end_ns = int(block.stamps[-1])
+    separations = pairs.results()
+    uavs = tuple(
+        judge(recording, uav, of, covers, intrusion(separations, uav))
+        for uav, of in figures.items()
     )
+    duration_s = float(end_ns - recording.start_ns) * NANO
+    leg = LegVerdict(recording.leg + 1, recording.start_ns * NANO, duration_s, "", uavs)
     return _JudgedLeg(leg, end_ns, separations)
 
 
-def _without_deadline(recording: Recording) -> Iterator[list[Separation]]:
-    """The separations of the legs that have no deadline: hold and land."""
-    for start_ns, end_ns in recording.other_legs_ns:
-        pairs = Separations(recording)
-        for grid in recording.grids_between(start_ns, end_ns):
-            pairs.add(grid, recording.positions(grid))
-        yield pairs.found()
+def legs_without_deadline(recording: Recording) -> list[tuple[int, int]]:
+    """Begin and end [ns] of the legs hold and land, as far as they are recorded; none in a window."""
+    if recording.window_s is not None:
+        return []
+    first_ns, last_ns = recording.first_ns, recording.last_ns
+    ends = [*(t0_ns for t0_ns, _ in recording.epochs[1:]), last_ns]
+    spans = zip(recording.epochs, ends, strict=False)  # without epochs there are no spans
+    legs = [(t0_ns, min(end_ns, last_ns)) for (t0_ns, leg), end_ns in spans if leg != FORMATION]
+    return [(t0_ns, end_ns) for t0_ns, end_ns in legs if first_ns <= t0_ns <= end_ns]
+
+
+class _Error(NamedTuple):
+    """The error of a UAV when a leg of the mission was due."""
+
+    uav: int
+    error_m: float
+    excused: bool
+
+
+def _mission_legs(
+    recording: Recording,
+    judged: Sequence[Sequence[UavVerdict]],
+    separations: Iterable[Separation],
+    tolerance: float,
+) -> tuple[MissionLegVerdict, ...]:
+    """The verdicts on the legs that are due before the flight ends, or were cut short.
+
+    Args:
+        recording: the whole flight.
+        judged: the verdicts on the UAVs, by epoch.
+        separations: the closest approaches, also of spans that overlap.
+        tolerance: limit of an error [m].
+    """
+    scenario = recording.scenario
+    if not scenario.legs:
+        return ()
+    entered = [pair for pair in separations if pair.entered]
+    end_s = (
+        (scenario.timing.ticks - 1) * scenario.timing.dt_ns * NANO
+    )  # the last instant of the flight
+    end_s = end_s if recording.window_s is None else min(end_s, recording.window_s)
+    until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]
+    verdicts = []
+    for leg, next_s in zip(scenario.legs, until_s, strict=True):
+        if leg.due_s > end_s + _EXACT_S and not is_cut_short(scenario.legs, leg):
+            continue
+        near = [pair for pair in entered if leg.begin_s <= pair.at_s < next_s]
+        verdicts.append(_judged(recording, leg, _errors(recording, leg, judged), near, tolerance))
+    return tuple(verdicts)
+
+
+def _errors(
+    recording: Recording, leg: ScheduledLeg, judged: Sequence[Sequence[UavVerdict]]
+) -> list[_Error] | None:
+    """The known errors of all UAVs when a leg was due; None: a later leg took its place before."""
+    if leg.number == FIRST:
+        return [
+            _Error(uav.uav, uav.error_at_deadline_m, uav.due_s > uav.deadline_s)
+            for uav in judged[0]
+            if uav.error_at_deadline_m is not None
+        ]
+    if isinstance(leg.leg, LandLeg):  # heights above the ground
+        due_ns = recording.first_ns + round(leg.due_s / NANO)
+        if due_ns > recording.last_ns:
+            return []
+        places = recording.at(np.array([due_ns])).positions
+        return [
+            _Error(uav, max(float(place[0, 2]) - leg.leg.ground_m, 0.0), False)
+            for uav, place in places.items()
+        ]
+    if is_cut_short(recording.scenario.legs, leg):
+        return None
+    return [
+        _Error(uav.uav, due.error_m, due.excused)
+        for uavs in judged
+        for uav in uavs
+        for due in uav.changes
+        if due.number == leg.number and due.due_s == leg.due_s and due.error_m is not None
+    ]
+
+
+def _judged(
+    recording: Recording,
+    leg: ScheduledLeg,
+    errors: list[_Error] | None,
+    entered: list[Separation],
+    tolerance: float,
+) -> MissionLegVerdict:
+    worst = max(errors or (), key=lambda error: error.error_m, default=None)
+    # An error that is no number is late too: a comparison with NaN is false.
+    late = [of for of in errors or () if not of.excused and not of.error_m <= tolerance]
+    verdict, reason = MET, ""
+    if entered:
+        pair = min(entered, key=lambda pair: pair.distance_m - pair.keep_out_m)
+        verdict = VIOLATED
+        reason = f"{pair.first} {pair.distance_m:.3f} m from {pair.second} at {pair.at_s:.2f} s"
+    elif late:
+        verdict = MISSED
+        named = ", ".join(f"UAV {error.uav} {error.error_m:.3f} m" for error in late)
+        off = "above the ground" if isinstance(leg.leg, LandLeg) else "off"
+        reason = f"{named} {off} at {leg.due_s:.2f} s, expected at most {tolerance:g} m"
+    elif errors is None:
+        verdict, reason = CUT_SHORT, "by an operator"
+    elif not errors:
+        last_s = (recording.last_ns - recording.first_ns) * NANO
+        verdict = VOID
+        reason = f"the recording ends after {last_s:.2f} s, it was due at {leg.due_s:.2f} s"
+    return MissionLegVerdict(
+        leg.number,
+        leg.name,
+        leg.leg.kind,
+        leg.begin_s,
+        leg.due_s,
+        None if worst is None else worst.error_m,
+        None if worst is None else worst.uav,
+        verdict,
+        reason,
+    )

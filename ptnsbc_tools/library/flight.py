@@ -17,7 +17,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.recording import require_all_uavs
+from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.plotting.flight import FlightView, view_of
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions, read_recording
@@ -71,7 +71,7 @@ def _columns(track: str, first: int, end: int, meaning: str) -> cached_property[
     """An array of a flight: columns first … end - 1 of a track of every UAV; NaN where none is recorded."""
 
     def columns(flight: FlightArrays) -> Array:
-        tracks, grid = getattr(flight.recording, track), flight.grid
+        tracks, grid = getattr(flight.recording, track), flight.instants.stamps
         nothing = np.full((grid.size, end - first), np.nan)
         parts = [
             tracks[uav].at(grid)[:, first:end] if uav in tracks else nothing for uav in flight.uavs
@@ -99,20 +99,20 @@ class FlightArrays:
         return self.scenario.uav_ids
 
     @cached_property
-    def grid(self) -> NDArray[np.int64]:
-        """The instants (T,) [ns]."""
+    def instants(self) -> Instants:
+        """The instants, and the positions at them."""
         require_all_uavs(self.recording)
-        return self.recording.grid()
+        return whole(self.recording)
 
     @cached_property
     def time_s(self) -> Array:
         """Time after the epoch (T,) [s]."""
-        return self.recording.times(self.grid)
+        return self.instants.times
 
     @cached_property
     def position_m(self) -> Array:
         """Position (T, N, 3) [m], ENU; the true one where it is known."""
-        positions = self.recording.positions(self.grid)
+        positions = self.instants.positions
         return np.stack([positions[uav] for uav in self.uavs], axis=1)
 
     quaternion = _columns(
@@ -139,8 +139,7 @@ class FlightArrays:
     @cached_property
     def error_m(self) -> Array:
         """Formation error (T, N) [m]: distance from its place; of the leader, from its trajectory."""
-        positions = {uav: self.position_m[:, row] for row, uav in enumerate(self.uavs)}
-        errors = formation_errors(self.recording, self.grid, positions)
+        errors = formation_errors(self.recording, self.instants)
         return np.stack([errors[uav] for uav in self.uavs], axis=1)
 
     def __getitem__(self, name: str) -> Array:

@@ -77,9 +77,9 @@ def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
     found = ThinnedCurves[int](leg.samples)
     try:
-        for grid in leg.grids():
-            for uav, error in formation_errors(leg, grid, leg.positions(grid)).items():
-                found.add(uav, flight.times(grid), error)
+        for block in leg.blocks():
+            for uav, error in formation_errors(leg, block).items():
+                found.add(uav, flight.times(block.stamps), error)
     except VerdictError:
         return {}
     return found.points()

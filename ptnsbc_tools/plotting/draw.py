@@ -232,7 +232,7 @@ def _paths(recording: Recording) -> dict[int, Array]:
     numbers = range(len(recording.forms))
     legs = [leg for k in numbers if (leg := replace(recording, leg=k)).samples > 1]
     every = max(sum(leg.samples for leg in legs) // _PATH_POINTS, 1)
-    parts = [leg.positions(grid[::every]) for leg in legs for grid in leg.grids()]
+    parts = [leg.at(block.stamps[::every]).positions for leg in legs for block in leg.blocks()]
     return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
 
 

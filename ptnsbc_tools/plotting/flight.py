@@ -14,7 +14,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track, Verdict, verdict_on
 from ptnsbc_sim.verdict.encounters import Window, merged, rising
-from ptnsbc_sim.verdict.recording import NANO, tolerance_of
+from ptnsbc_sim.verdict.recording import NANO, seconds, tolerance_of
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
 
@@ -80,7 +80,7 @@ class FlightView:
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
-        return self.recording.times(stamps)
+        return seconds(stamps, self.recording.start_ns)
 
     def seconds(self, window: Window) -> tuple[float, float]:
         """A window in seconds after the epoch."""

@@ -13,8 +13,8 @@ import numpy as np
 from ptnsbc_io.wire import Diagnostics, WireError, decode_diagnostics, decode_integers
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.verdict import Track
-from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.reading.bag_sources import open_source
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
 

@@ -20,13 +20,12 @@ from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.uav.uav_faults import sent_faults
+from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
-
-_STATUS_HZ = 5
 
 Message = tuple[str, bytes]  # topic, CDR
 
@@ -90,11 +89,10 @@ class _StatusMessages:
 
     def __init__(self, flight: HeadlessFlight) -> None:
         from ptnsbc_nodes.comm.markers import Scene
-        from ptnsbc_nodes.uav.uav_controller import UavCounters
 
         scenario = flight.scenario
         self._flight = flight
-        self._every = max(scenario.timing.control_hz // _STATUS_HZ, 1)
+        self._every = status_every(scenario)
         self._dt = scenario.timing.dt_ns * 1e-9
         self._counters = [UavCounters() for _ in scenario.uav_ids]
         self._gone = gone(scenario)

@@ -10,10 +10,10 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.verdict import Recording, Series, Verdict
-from ptnsbc_sim.verdict.recording import COUNTERS
 
 Errors = Callable[[Array], Array]
 HZ = 100

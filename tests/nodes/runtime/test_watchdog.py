@@ -5,8 +5,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_io.wire import decode_diagnostics
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWait, LockstepWatchdog
+from ptnsbc_sim.counters import STATUS_HZ
 
 pytestmark = pytest.mark.ros
 

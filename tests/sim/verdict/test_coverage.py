@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording, Series, verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_sim.verdict.phases import absences
+from ptnsbc_sim.verdict.members import absences
 from ptnsbc_tools.tables import verdict_tables
 
 Fly = Callable[..., Recording]

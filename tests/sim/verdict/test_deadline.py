@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from synthetic_flights import away, decay, verdict_of
 
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.verdict import Recording, verdict_on
-from ptnsbc_sim.verdict.recording import COUNTERS
 
 Fly = Callable[..., Recording]
 SWAY = away(8.0, 8.5)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from chromium import chromium
 
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.verdict import Series
-from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.plotting.flight import read_view, view_of
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries

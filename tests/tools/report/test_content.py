@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Series
 from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.content import Pack, content

@@ -5,10 +5,12 @@ A UAV was silent while its leader estimates are missing for longer than `communi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.membership import (
@@ -108,28 +110,65 @@ def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> 
     return spans
 
 
-def phases(
-    scenario: Scenario, away: Mapping[int, tuple[Absence, ...]], first_ns: int
-) -> tuple[Phase, ...]:
-    """The phases of a flight; one, unless UAVs come and go.
+class Members:
+    """The members of the formation over a flight: nobody comes or goes unless the scenario says that UAVs may.
 
     Args:
-        scenario: with the slots that the UAVs took.
-        away: the absences of every UAV.
+        scenario: as flown.
+        tracks: what each UAV sent at every tick; UAVs without a track count as there.
         first_ns: the first epoch [ns].
     """
-    found = [Phase(first_ns, scenario, frozenset(), frozenset())]
-    spans = [(uav, span) for uav, own in away.items() for span in own]
-    if not spans:
-        return tuple(found)
-    formations, before = Formations(scenario), scenario
-    instants = {t_ns for _, span in spans for t_ns in (span.noticed_ns, span.end_ns)}
-    for t_ns in sorted(instants - {NEVER_NS}):
-        absent = frozenset(uav for uav, one in spans if one.noticed_ns <= t_ns < one.end_ns)
-        earlier = frozenset(uav for uav, one in spans if one.noticed_ns <= t_ns)
-        after = formations.of(Membership(absent, earlier - absent)) or before
-        there = set(scenario.uav_ids) - absent - found[-1].absent
-        moved = frozenset(uav for uav in there if changed(before, after, uav)[0])
-        found.append(Phase(t_ns, after, absent, moved))
-        before = after
-    return tuple(found[1:] if len(found) > 1 and found[1].begin_ns == first_ns else found)
+
+    def __init__(self, scenario: Scenario, tracks: Mapping[int, Track], first_ns: int) -> None:
+        self.absences = absences(scenario, tracks, first_ns)
+        self._first_ns = first_ns
+
+    @property
+    def staying(self) -> tuple[int, ...]:
+        """The UAVs that have not gone for good; all when nobody stays."""
+        gone = {uav for uav, away in self.absences.items() if away and away[-1].for_good}
+        return tuple(uav for uav in self.absences if uav not in gone) or tuple(self.absences)
+
+    def at(self, t_ns: int) -> set[int]:
+        """The UAVs that belonged to the formation at an instant [ns]."""
+        return {
+            uav
+            for uav, away in self.absences.items()
+            if not any(span.begin_ns <= t_ns < span.end_ns for span in away)
+        }
+
+    def lost(self, uav: int) -> bool:
+        """True if a UAV was lost in flight and did not come back."""
+        away = self.absences[uav]
+        return bool(away) and away[-1].for_good and not away[-1].planned
+
+    def text(self, uav: int) -> str:
+        """When a UAV came and went, in words; empty when it was there all the time."""
+        return ", ".join(span.text(self._first_ns) for span in self.absences[uav])
+
+    def phases(self, scenario: Scenario) -> tuple[Phase, ...]:
+        """The phases of the flight of a scenario with the slots that the UAVs took."""
+        phases = [Phase(self._first_ns, scenario, frozenset(), frozenset())]
+        spans = [(uav, span) for uav, away in self.absences.items() for span in away]
+        if not spans:
+            return tuple(phases)
+        formations, before = Formations(scenario), scenario
+        instants = {t_ns for _, span in spans for t_ns in (span.noticed_ns, span.end_ns)}
+        for t_ns in sorted(instants - {NEVER_NS}):
+            absent = frozenset(uav for uav, span in spans if span.noticed_ns <= t_ns < span.end_ns)
+            earlier = frozenset(uav for uav, span in spans if span.noticed_ns <= t_ns)
+            after = formations.of(Membership(absent, earlier - absent)) or before
+            there = set(scenario.uav_ids) - absent - phases[-1].absent
+            moved = frozenset(uav for uav in there if changed(before, after, uav)[0])
+            phases.append(Phase(t_ns, after, absent, moved))
+            before = after
+        begins_anew = len(phases) > 1 and phases[1].begin_ns == self._first_ns
+        return tuple(phases[1:] if begins_anew else phases)
+
+
+def by_phase(phases: Sequence[Phase], stamps: NDArray[np.int64]) -> Iterator[tuple[Phase, slice]]:
+    """The phases of instants (T,) [ns], ascending, and which instants are in each."""
+    cuts = np.searchsorted(stamps, [phase.begin_ns for phase in phases[1:]]).tolist()
+    for phase, (first, end) in zip(phases, pairwise([0, *cuts, len(stamps)]), strict=True):
+        if first < end:
+            yield phase, slice(first, end)

@@ -1,0 +1,119 @@
+"""The counters that a UAV publishes on /diagnostics: one table for processes, headless flights and verdicts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_core import agent as columns
+from ptnsbc_core.types import AgentDiagnostics, Array
+from ptnsbc_sim.scenario import Scenario
+
+STATUS_HZ = 5
+"""How often nodes publish their status."""
+
+_COUNTED = {
+    "avoidance_active_s": columns.ACTIVE_ROWS,
+    "saturated_s": columns.SATURATED,
+    "holding_s": columns.HOLDING,
+    "deadlock_s": columns.DEADLOCK,
+}
+"""Counters of a time, and the column of the diagnostics that is above 0 during it."""
+
+COUNTERS = (
+    "avoidance_active_s",
+    "saturated_s",
+    "holding_s",
+    "missed_ticks",  # since the process started
+    "priority_violation_max",  # [m/s]
+    "deadlock_s",
+)
+"""Columns of the counters in a recording, counted from the start of the process."""
+
+
+_CUMULATIVE = (
+    *("ticks", "avoidance_active_s", "saturated_s", "holding_s"),
+    *("priority_violation_max", "deadlock_s"),
+)
+
+
+def status_every(scenario: Scenario) -> int:
+    """Number of ticks from one status to the next."""
+    return max(scenario.timing.control_hz // STATUS_HZ, 1)
+
+
+class UavCounters:
+    """Cumulative counters of one UAV since its start, and the newest figures of its planner."""
+
+    SIZE = len(_CUMULATIVE)  # numbers in `numbers`
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.avoidance_active_s = 0.0
+        self.saturated_s = 0.0
+        self.holding_s = 0.0
+        self.priority_violation_max = 0.0  # [m/s]
+        self.deadlock_s = 0.0
+        self._newest = AgentDiagnostics((0.0, 0.0, 0.0), 0.0, 0.0, 0, False, False, 0.0, 0.0, False)
+
+    def add(self, step: AgentDiagnostics, dt: float) -> None:
+        """Count one step that lasted `dt` [s]."""
+        self.ticks += 1
+        self.avoidance_active_s += dt * (step.active_rows > 0)
+        self.saturated_s += dt * step.saturated
+        self.holding_s += dt * step.holding
+        self.priority_violation_max = max(self.priority_violation_max, step.priority_violation)
+        self.deadlock_s += dt * step.deadlock
+        self._newest = step
+
+    @property
+    def deadlock(self) -> bool:
+        """True if the UAV was in a deadlock at the newest step."""
+        return bool(self._newest.deadlock)
+
+    @property
+    def holding(self) -> bool:
+        """True if the UAV held its position at the newest step."""
+        return bool(self._newest.holding)
+
+    def numbers(self) -> list[float]:
+        """The cumulative counters as numbers, as a snapshot of the controller has them."""
+        return [float(getattr(self, name)) for name in _CUMULATIVE]
+
+    def restore(self, numbers: Array) -> None:
+        """Continue from what `numbers` returned."""
+        for name, number in zip(_CUMULATIVE, numbers, strict=True):
+            setattr(self, name, float(number))
+        self.ticks = int(numbers[0])
+
+    def values(self) -> dict[str, str]:
+        """Counters and newest figures as key-value strings; `deadlock_s` from the first deadlock on."""
+        newest = self._newest
+        deadlock = {"deadlock_s": f"{self.deadlock_s:.3f}"} if self.deadlock_s > 0.0 else {}
+        return {
+            "avoidance_active_s": f"{self.avoidance_active_s:.3f}",
+            "saturated_s": f"{self.saturated_s:.3f}",
+            "holding_s": f"{self.holding_s:.3f}",
+            "ticks": str(self.ticks),
+            "formation_error": f"{sum(float(e) ** 2 for e in newest.error) ** 0.5:.6f}",
+            "gain": f"{newest.gain:.6f}",
+            "sigma_min": f"{newest.singular_value:.6f}",
+            "priority_violation_max": f"{self.priority_violation_max:.6g}",
+            **deadlock,
+        }
+
+
+def counters_of(diagnostics: Array, scenario: Scenario) -> Array:
+    """Counters (S, N, 6) of a headless flight at every status, rounded to milliseconds as on /diagnostics.
+
+    Args:
+        diagnostics: (T, N, 11) of its track.
+        scenario: as flown.
+    """
+    every = status_every(scenario)
+    ticks = np.cumsum(diagnostics[:, :, list(_COUNTED.values())] > 0, axis=0)[::every]
+    values = np.zeros((*ticks.shape[:2], len(COUNTERS)))
+    times = np.round(ticks * (scenario.timing.dt_ns * 1e-9), 3)
+    values[:, :, [COUNTERS.index(name) for name in _COUNTED]] = times
+    worst = np.maximum.accumulate(diagnostics[:, :, columns.PRIORITY_VIOLATION])[::every]
+    values[:, :, COUNTERS.index("priority_violation_max")] = worst
+    return values
