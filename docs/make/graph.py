@@ -24,7 +24,8 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
+from ptnsbc_nodes.recording.recorder import BagRecorder, topic_info
 from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_nodes.sim.sim_node import sim_node
 from ptnsbc_nodes.uav.uav_node import UavNode
@@ -132,7 +133,7 @@ def _context(domain: int) -> Iterator[Context]:
 
 
 @contextmanager
-def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[FleetRecorder]:
+def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[BagRecorder]:
     uavs, lockstep = scenario.uav_ids, options.lockstep
     options_of_bag = {
         "lockstep": lockstep,
@@ -142,9 +143,8 @@ def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterato
     }
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:
-        yield FleetRecorder(
-            node, writer, recorded(uavs, **options_of_bag), Transforms(uavs), lockstep=lockstep
-        )
+        kind = LockstepRecorder if lockstep else RealTimeRecorder
+        yield kind(node, writer, recorded(uavs, **options_of_bag), Transforms(uavs))
 
 
 def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[End]:
@@ -158,7 +158,7 @@ def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[E
             kind_of_message = f"{package}/msg/{one.msg_type.__name__}"
             own = belongs[1] is not None and int(belongs[1]) == uav
             leads = uav == leader
-            guarded = isinstance(getattr(one, "door", getattr(one, "callback", None)), Door)
+            guarded = isinstance(getattr(one, "callback", None), Door)
             yield End(
                 name, kind_of_message, kind, own, leads, mode, publishes, one.qos_profile, guarded
             )

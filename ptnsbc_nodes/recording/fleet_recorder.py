@@ -1,20 +1,22 @@
-"""Recording a flight into a bag: every topic of the given UAVs, as bytes.
+"""Recording a flight into a bag: every topic of the given UAVs, as bytes. /tf is made here, out of odometry.
 
-/tf is made here, out of odometry (`Transforms`).
-
-In real time a message is logged when it arrives. In lock-step it is logged at its own stamp and
-sorted (`ReorderBuffer`), so that the same command gives the same bytes.
+In real time a message is logged when it arrives. In lock-step it is logged at its own stamp and sorted, so that the
+same command gives the same bytes. Every regular topic has a message each so many ticks, and DDS keeps the order of one
+publisher. So a topic whose newest stamp is k and whose period is p lacks no message before k + p. Messages that are
+lost on the way and sent again hold this back; the sim pauses before a queue can overflow, and the recorder does not
+sort beyond it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 from rclpy.node import Node
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.announcements import decode_lost
@@ -22,18 +24,77 @@ from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, SIM, Role, Topic
-from ptnsbc_nodes.recording.completeness import Completeness
-from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, describe, stamp_of
+from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, stamp_of
 
 _OWN = re.compile(r"/uav(\d+)/odom")
 
 # Published by every UAV: the order of arrival between UAVs is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
 
+_NEVER = 2**63 - 1
+_NO_SILENCES: Mapping[str, Sequence[tuple[int, int]]] = MappingProxyType({})
 
-def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
-    """The description of `topic` in a bag: the profile that its publishers offer."""
-    return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
+
+class Completeness:
+    """The stamp up to which all of some sources have been received.
+
+    Args:
+        sources: names; a source is what one publisher sends on one topic.
+        silences: first instant [ns], and the first after it, of what a source sends nothing in.
+    """
+
+    def __init__(
+        self,
+        sources: Iterable[str],
+        silences: Mapping[str, Sequence[tuple[int, int]]] = _NO_SILENCES,
+    ) -> None:
+        self._silences = silences
+        self._newest = dict.fromkeys(sources, -1)
+        self._gap: dict[str, int] = {}  # shortest time between two messages of a source
+        self._bounds = dict(self._newest)  # up to which each source is complete
+        self.complete_ns = -1
+        self.tick_ns = _NEVER
+        """Shortest time between two messages of any source: the control period, once two messages have come."""
+        self._last = len(self._bounds)  # sources that hold `complete_ns` back
+
+    def add(self, source: str, stamp_ns: int) -> bool:
+        """A message of a source, whatever its name; returns whether `complete_ns` has moved."""
+        newest = self._newest.get(source)
+        if newest is None or stamp_ns <= newest:
+            return False
+        if newest >= 0:
+            gap = min(stamp_ns - newest, self._gap.get(source, _NEVER))
+            self._gap[source] = gap
+            self.tick_ns = min(self.tick_ns, gap)
+        else:
+            gap = 1
+        self._newest[source] = stamp_ns
+        bound = stamp_ns + gap - 1
+        for first_ns, end_ns in self._silences.get(source, ()):
+            if first_ns <= bound + 1 < end_ns:
+                bound = end_ns - 1
+        before, self._bounds[source] = self._bounds[source], bound
+        if before > self.complete_ns:
+            return False
+        self._last -= 1
+        return self._move()
+
+    def lose(self, source: str) -> bool:
+        """Wait for a source no longer; returns whether `complete_ns` has moved."""
+        if source not in self._newest:
+            return False
+        del self._newest[source]
+        if self._bounds.pop(source) <= self.complete_ns:
+            self._last -= 1
+        return self._move()
+
+    def _move(self) -> bool:
+        if self._last > 0:
+            return False
+        bounds = self._bounds.values()
+        self.complete_ns = min(bounds, default=_NEVER)
+        self._last = sum(bound == self.complete_ns for bound in bounds)
+        return True
 
 
 def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
@@ -65,17 +126,16 @@ def _sender_of(diagnostics: bytes) -> str:
     return statuses[0].name.partition(":")[0] if statuses else ""
 
 
-class FleetRecorder(BagRecorder):
-    """Subscriptions of `node` that write into an open `writer`.
+class RealTimeRecorder(BagRecorder):
+    """Subscriptions of a node that log each message when it arrives.
 
     Args:
-        node: Its clock gives the log time in real time.
-        writer: An open bag with all `recorded` topics and /tf; it stays open at `finish`.
-        recorded: What to record.
-        transforms: Makes /tf.
-        lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
-        draw: Makes the markers in real time, where no simulator does.
-        seal: Of a fleet whose messages are sealed; a bag holds them without it.
+        node: its clock gives the log time.
+        writer: an open bag with all `recorded` topics and /tf; it stays open at `finish`.
+        recorded: what to record.
+        transforms: makes /tf.
+        draw: makes the markers, where no simulator does.
+        seal: of a fleet whose messages are sealed; a bag holds them without it.
     """
 
     def __init__(
@@ -84,59 +144,68 @@ class FleetRecorder(BagRecorder):
         writer: BagWriter,
         recorded: Iterable[Topic],
         transforms: Transforms,
-        *,
-        lockstep: bool,
         draw: Derive | None = None,
+        seal: Seal | None = None,
+    ) -> None:
+        super().__init__(node, writer, seal)
+        derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
+        if draw is not None:
+            derived.append((topics.MARKERS.name, draw))
+        for topic in recorded:
+            profile = qos.recorder_profile(topic, lockstep=False)
+            self.subscribe(topic, full_name(node, topic), self.on_arrival(topic, derived), profile)
+        self.flush_regularly()
+
+
+class LockstepRecorder(BagRecorder):
+    """Subscriptions of a node that log each message at its own stamp, in an order that does not depend on arrival.
+
+    Bytes that depended on wall time would differ from run to run: what is written is flushed by stamp.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        writer: BagWriter,
+        recorded: Iterable[Topic],
+        transforms: Transforms,
         seal: Seal | None = None,
         silences: Iterable[tuple[int, int, int]] = (),
     ) -> None:
-        """`silences`: UAV, first instant [ns] and the first after it, in which it is to send nothing."""
+        """As `RealTimeRecorder`; `silences`: UAV, first instant [ns] and the first after it, in which it is silent."""
         super().__init__(node, writer, seal)
-        self._acknowledged_ns = 0
-        self._clock_ns = 0  # newest /clock of a lock-step flight
         recorded = tuple(recorded)
         quiet: dict[str, list[tuple[int, int]]] = {}
         for uav, first_ns, end_ns in silences:
             for source in _told(uav):
                 quiet.setdefault(source, []).append((first_ns, end_ns))
         self._completeness = Completeness(_sources(recorded), quiet)
-        self._acknowledgement = wire.HeaderTemplate("recorder")
-        self._close: Callable[[bytes], bytes] = bytes if seal is None else seal.closer(RECORDED)
         self._transforms = transforms
-        order = ReorderBuffer(_SHARED) if lockstep else None
-        self._order = order
+        self._order = ReorderBuffer(_SHARED)
+        self._order.complete_ns = self._completeness.complete_ns
         self._written_ns = -1
         # Topics whose first message is still to come before the first instant is known to be whole.
         self._awaited = {topic.name for topic in recorded if topic.role is Role.LATCHED}
         self._begun = topics.TAKEN in recorded  # at any instant
-        derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
-        if draw is not None:
-            derived.append((topics.MARKERS.name, draw))
         for topic in recorded:
-            record = self._in_order(topic, order) if order else self.on_arrival(topic, derived)
-            profile = qos.recorder_profile(topic, lockstep=lockstep)
-            self.subscribe(topic, full_name(node, topic), record, profile)
-        if order is not None:
-            order.complete_ns = self._completeness.complete_ns
-            latched = qos.recorder_profile(topics.LOST, lockstep=True)
-            self.subscribe(topics.LOST, full_name(node, topics.LOST), self._on_lost, latched)
-            self._acknowledge = node.create_publisher(
-                topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
-            )
-        else:  # in lock-step the bytes would depend on wall time: flushed by stamp
-            self.flush_regularly()
-
-    @property
-    def late(self) -> int:
-        """Lock-step messages too late to be sorted in; above zero the bytes may differ."""
-        return self._order.late if self._order else 0
+            profile = qos.recorder_profile(topic, lockstep=True)
+            self.subscribe(topic, full_name(node, topic), self._in_order(topic), profile)
+        latched = qos.recorder_profile(topics.LOST, lockstep=True)
+        self.subscribe(topics.LOST, full_name(node, topics.LOST), self._on_lost, latched)
+        self._acknowledged_ns = 0
+        self._clock_ns = 0  # newest /clock
+        self._acknowledgement = wire.HeaderTemplate("recorder")
+        self._close: Callable[[bytes], bytes] = bytes if seal is None else seal.closer(RECORDED)
+        self._acknowledge = node.create_publisher(
+            topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
+        )
 
     def finish(self) -> None:
         """Write what is still held back; call before the writer is closed."""
-        if self._order:
-            self._write_sorted(self._order.flush())
+        self._write_sorted(self._order.flush())
+        self.late = self._order.late
 
-    def _in_order(self, topic: Topic, order: ReorderBuffer) -> Callable[[bytes], None]:
+    def _in_order(self, topic: Topic) -> Callable[[bytes], None]:
         last_ns = 0
 
         def record(data: bytes) -> None:
@@ -151,32 +220,33 @@ class FleetRecorder(BagRecorder):
             elif source == topics.DIAGNOSTICS.name:
                 source = _sender_of(data)
             if self._completeness.add(source, last_ns):
-                self._on_complete(order)
-            self._write_sorted(order.push(last_ns, topic.name, data))
+                self._on_complete()
+            self._write_sorted(self._order.push(last_ns, topic.name, data))
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
-                self._write_sorted(order.push(last_ns, topics.TF.name, transform))
+                self._write_sorted(self._order.push(last_ns, topics.TF.name, transform))
             if not self._begun:
-                self._begin(topic, order)
+                self._begin(topic)
+            self.late = self._order.late
             self.after_each()
 
         return record
 
-    def _begin(self, heard: Topic, order: ReorderBuffer) -> None:
+    def _begin(self, heard: Topic) -> None:
         """Write the first instant as soon as it is whole: a recorder killed afterwards leaves a readable bag."""
         self._awaited.discard(heard.name)
         if self._written_ns < 0 and not self._awaited:
-            self._write_sorted(order.first())
+            self._write_sorted(self._order.first())
             self._writer.flush()
         self._begun = self._written_ns >= 0
 
-    def _on_complete(self, order: ReorderBuffer) -> None:
+    def _on_complete(self) -> None:
         """Acknowledge to the sim that all topics have been received up to some stamp.
 
         Ticks are counted by stamps: where a status arrives last, it completes all ticks since the one before.
         """
-        order.complete_ns = self._completeness.complete_ns
-        stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
+        complete_ns = self._order.complete_ns = self._completeness.complete_ns
+        stamp_ns = min(max(complete_ns, 0), self._clock_ns)
         if stamp_ns - self._acknowledged_ns >= RECORDED_EVERY * self._completeness.tick_ns:
             self._acknowledged_ns = stamp_ns
             self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))
@@ -188,11 +258,11 @@ class FleetRecorder(BagRecorder):
         except wire.WireError as error:
             self.refusals.add(topics.LOST.name, str(error))
             return
-        if process.uav is None or self._order is None:
+        if process.uav is None:
             return
         moved = [self._completeness.lose(source) for source in _told(process.uav)]
         if any(moved):
-            self._on_complete(self._order)
+            self._on_complete()
 
     def _write_sorted(self, messages: Iterable[PendingMessage]) -> None:
         """Write messages in their order; chunks end between two instants."""

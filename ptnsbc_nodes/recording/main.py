@@ -59,8 +59,8 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
     from ptnsbc_nodes.comm import topics
     from ptnsbc_nodes.comm.seal import required_seal
     from ptnsbc_nodes.comm.tf import Transforms
-    from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
-    from ptnsbc_nodes.recording.recorder import recorder_node
+    from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
+    from ptnsbc_nodes.recording.recorder import BagRecorder, recorder_node, topic_info
     from ptnsbc_nodes.runtime.launcher import report_running
     from ptnsbc_nodes.runtime.node_process import report_finished
 
@@ -80,16 +80,15 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
             metadata=dict(options.meta),
             overwrite=options.overwrite,
         ) as writer:
-            recorder = FleetRecorder(
-                node,
-                writer,
-                topics.recorded(options.uavs, **kinds),
-                Transforms(options.uavs),
-                lockstep=options.lockstep,
-                draw=draw,
-                seal=required_seal() if options.signed else None,
-                silences=options.silent,
-            )
+            recorded, transforms = topics.recorded(options.uavs, **kinds), Transforms(options.uavs)
+            seal = required_seal() if options.signed else None
+            recorder: BagRecorder
+            if options.lockstep:
+                recorder = LockstepRecorder(
+                    node, writer, recorded, transforms, seal, options.silent
+                )
+            else:
+                recorder = RealTimeRecorder(node, writer, recorded, transforms, draw, seal)
             print("ready", file=sys.stderr, flush=True)
             report_running()
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)

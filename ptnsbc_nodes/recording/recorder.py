@@ -1,11 +1,19 @@
-"""The common part of every recording over DDS: subscriptions that write into a bag until they are told to end."""
+"""Recording over DDS: subscriptions that write into a bag until they are told to end, and a recording beside any fleet.
+
+`record` finds topics that are not known in advance. Each topic is subscribed to with what its publishers offer, at once
+or when it appears. Messages are logged when they arrive. /tf is made of odometry where no process publishes it.
+"""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from inspect import Parameter, Signature
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -14,15 +22,20 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo
 from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import Role, Topic
 from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
+from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_nodes.runtime.signals import StopRequest
 
 Derive = Callable[[str, bytes], bytes | None]
 """Makes a message out of the topic and the bytes of another; None when none is due."""
@@ -66,6 +79,7 @@ class BagRecorder:
         self._seal = seal
         self.refusals = Refusals()
         self.received = 0
+        self.late = 0  # messages of a lock-step flight that came too late to be sorted in
         self._doors: list[NumberedDoor] = []  # of topics with one publisher
         self.after_each: Callable[[], None] = lambda: None  # called after each message
         self._node = node
@@ -135,6 +149,9 @@ class BagRecorder:
             slices.serve(_SLICE_S)
         slices.drain(lambda: self.received, _QUIET_S, drain_limit_s)
 
+    def finish(self) -> None:
+        """Write what is still held back; call before the writer is closed."""
+
     def summary(self, **more: Any) -> Mapping[str, Any]:
         """The outcome of the recording, once the bag is complete."""
         counts = self._writer.counts
@@ -188,3 +205,148 @@ def stamp_of(topic: Topic, data: bytes) -> int | None:
         # A broken message of another program was on the topic all the same: the bag has it.
         return None
     return stamp_ns if stamp_ns is not None and stamp_ns >= 0 else None
+
+
+def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
+    """The description of `topic` in a bag: the profile that its publishers offer."""
+    return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
+
+
+OURS = (
+    *("/uav*/" + name for name in ("odom", "near", "formation_state", "leader_estimate")),
+    *("/uav*/" + name for name in ("setpoint/*", "tick", "snapshot")),
+    *(
+        "/formation/epoch",
+        "/formation/slots",
+        "/formation/markers",
+        "/diagnostics",
+        "/clock",
+        "/tf",
+    ),
+)
+"""Topics of a flight, as patterns."""
+
+_LOOK_S = 0.5  # between two looks for new topics
+_QUEUE = 1000
+_DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
+_OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
+
+
+class RecordError(PtnsbcError):
+    """A recording without a single message."""
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """The topics to record, and how they are recorded."""
+
+    bag: Path
+    topics: Sequence[str] = OURS  # patterns
+    limits: SplitLimits = field(default_factory=SplitLimits)
+    overwrite: bool = False
+    duration_s: float | None = None  # None: until a signal
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    meta: Mapping[str, str] = field(default_factory=dict)
+
+
+def record(options: RecordOptions, say: Callable[[str], None]) -> Mapping[str, Any]:
+    """Record until the time is over or a signal comes; returns what was recorded.
+
+    Raises:
+        BagError: the bag cannot be written.
+        RecordError: not one message came.
+    """
+    context = Context()
+    with StopRequest() as stop:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            return _record(context, options, stop, say)
+        finally:
+            rclpy.shutdown(context=context)
+
+
+def _record(
+    context: Context, options: RecordOptions, stop: StopRequest, say: Callable[[str], None]
+) -> Mapping[str, Any]:
+    with recorder_node(context, "record") as (node, executor):
+        with BagWriter(
+            options.bag,
+            [],
+            attachments=options.attachments,
+            metadata={"mode": "beside", **provenance(), **options.meta},
+            overwrite=options.overwrite,
+            limits=options.limits,
+        ) as writer:
+            recorder = TopicRecorder(node, writer, options.topics, say)
+            say("ready")
+            end = time.monotonic() + (options.duration_s or float("inf"))
+            recorder.serve(executor, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
+        found = recorder.summary(interrupted=stop.came)
+    if not found["messages"]:
+        raise RecordError(
+            f"no message on {', '.join(options.topics)}: does a fleet run in this ROS domain? "
+            f"the empty bag is in {writer.directory}"
+        )
+    return found
+
+
+class TopicRecorder(BagRecorder):
+    """Subscriptions of `node` that write into an open `writer`.
+
+    Args:
+        node: Its clock gives the log time.
+        writer: An open bag; topics are added to it.
+        patterns: Which topics, as in a shell: `*` and `?`.
+        say: Gets a line for each topic that cannot be recorded.
+    """
+
+    def __init__(
+        self, node: Node, writer: BagWriter, patterns: Sequence[str], say: Callable[[str], None]
+    ) -> None:
+        super().__init__(node, writer)
+        self._patterns = patterns
+        self._say = say
+        self._known: set[str] = set()
+        self._tf = topic_info(topics.TF, lockstep=False)
+        node.create_timer(_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.flush_regularly()
+        self.look()
+
+    def look(self) -> None:
+        """Subscribe to what has appeared since the last look."""
+        for name, types in self._node.get_topic_names_and_types():
+            if name in self._known or not any(fnmatchcase(name, p) for p in self._patterns):
+                continue
+            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
+            if offered:  # without a publisher there are subscriptions only
+                self._known.add(name)
+                self._add(Topic(name, types[0], Role.STATE), offered)
+
+    def _add(self, topic: Topic, offered: Sequence[QoSProfile]) -> None:
+        info = describe(topic.name, topic.type, offered)
+        reliable = info.reliability == "reliable"
+        latched = info.durability == "transient_local"
+        try:
+            self._writer.add(info)
+            topics.message_class(topic)
+        except (BagError, ImportError, AttributeError) as error:
+            self._say(f"{topic.name} is left out: {error}")
+            return
+        record = self.on_arrival(topic, self._derived(topic))
+        self.subscribe(
+            topic, topic.name, record, qos.keep_last(_QUEUE, reliable=reliable, latched=latched)
+        )
+
+    def _derived(self, topic: Topic) -> list[tuple[str, Derive]]:
+        """/tf out of the odometry of a UAV, as long as no process is known to publish /tf."""
+        own = _OWN_ODOMETRY.fullmatch(topic.name)
+        if not own or topic.type != topics.odom(1).type or topics.TF.name in self._known:
+            return []
+        self._writer.add(self._tf)
+        transforms = Transforms([int(own[1])])
+
+        def transform(name: str, data: bytes) -> bytes | None:
+            made = transforms.of(name, data)
+            return None if topics.TF.name in self._known else made
+
+        return [(topics.TF.name, transform)]

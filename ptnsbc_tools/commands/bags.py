@@ -202,7 +202,7 @@ def record(
     """
     with ros.required():
         from ptnsbc_io.bag import SplitLimits
-        from ptnsbc_nodes.recording import topic_recorder
+        from ptnsbc_nodes.recording import recorder
     size = None if split_size is None else round(split_size * _MEGABYTE)
     length = None if split_duration is None else round(split_duration * 1e9)
     about: dict[str, Any] = {}
@@ -213,15 +213,15 @@ def record(
         flown = load_scenario(scenario)
         about["attachments"] = {SCENARIO_ATTACHMENT: flown.text.encode()}
         about["meta"] = {"scenario": flown.name}
-    request = topic_recorder.RecordOptions(
+    request = recorder.RecordOptions(
         bag=output or Path(f"bag-{datetime.now():%Y%m%d-%H%M%S}"),
-        topics=tuple(topics or topic_recorder.OURS),
+        topics=tuple(topics or recorder.OURS),
         limits=SplitLimits(size, length),
         overwrite=overwrite,
         duration_s=duration,
         **about,
     )
-    done = topic_recorder.record(request, console.say)
+    done = recorder.record(request, console.say)
     if json:
         console.print_json(done)
         return

@@ -175,7 +175,7 @@ def prepare_bag(directory: Path, *, overwrite: bool) -> None:
     """Refuse a bag that cannot be written, before the flight and not after it."""
     environment.prepare()
     try:
-        import_module("ptnsbc_nodes.recording.fleet_recorder")
+        import_module("ptnsbc_nodes.recording.recorder")
         import_module("ptnsbc_nodes.comm.markers")
     except ImportError as error:
         raise BagSupportError(
@@ -200,7 +200,7 @@ def write_flight(
         progress: called now and then with the ticks done and their total.
     """
     prepare_bag(directory, overwrite=overwrite)
-    from ptnsbc_nodes.recording.fleet_recorder import topic_info
+    from ptnsbc_nodes.recording.recorder import topic_info
 
     scenario = flight.scenario
     infos: list[Any] = [

@@ -21,9 +21,13 @@ from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import (
+    Completeness,
+    LockstepRecorder,
+    RealTimeRecorder,
+)
 from ptnsbc_nodes.recording.main import main
-from ptnsbc_nodes.recording.recorder import stamp_of
+from ptnsbc_nodes.recording.recorder import BagRecorder, stamp_of, topic_info
 
 ROOT = Path(__file__).parents[3]
 TICK_NS = 10_000_000
@@ -74,12 +78,13 @@ class Flight:
             time.sleep(0.002)
 
 
-def record(ros, path: Path, lockstep: bool, order, recorded=RECORDED) -> FleetRecorder:
+def record(ros, path: Path, lockstep: bool, order, recorded=RECORDED) -> BagRecorder:
     """Publish `order`, a list of (topic, bytes), and record it."""
     infos = [topic_info(topic, lockstep=lockstep) for topic in topics.in_bag([1])]
     with BagWriter(path, infos) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=lockstep)
+        kind = LockstepRecorder if lockstep else RealTimeRecorder
+        recorder = kind(node, writer, recorded, Transforms([1]))
         flight = Flight(ros, messages(1), lockstep=lockstep, recorder=node)
         for count, (topic, data) in enumerate(order, start=1):
             flight.publish(topic, data)
@@ -128,7 +133,7 @@ def test_lockstep_writes_the_first_instant_as_soon_as_it_is_whole(ros, tmp_path)
     infos = [topic_info(topic, lockstep=True) for topic in (*recorded, topics.TF)]
     with BagWriter(tmp_path / "flight", infos) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        recorder = LockstepRecorder(node, writer, recorded, Transforms([1]))
         flight = Flight(ros, recorded, lockstep=True, recorder=node)
         first = [(topic, sent[0]) for topic, sent in messages(1).items() if topic in recorded]
         for count, (topic, data) in enumerate(first, start=1):
@@ -163,7 +168,7 @@ def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
     infos = [topic_info(topic, lockstep=False) for topic in (odom, topics.TF)]
     with BagWriter(tmp_path / "flight", infos) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, [odom], Transforms([1]), lockstep=False)
+        recorder = RealTimeRecorder(node, writer, [odom], Transforms([1]))
         flight = Flight(ros, [odom], lockstep=False, recorder=node)
         flight.publish(odom, sent[0])
         ros.spin_until(lambda: recorder.received == 1)
@@ -183,7 +188,7 @@ def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
         tmp_path / "flight", [topic_info(t, lockstep=True) for t in (*recorded, topics.TF)]
     ) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        recorder = LockstepRecorder(node, writer, recorded, Transforms([1]))
         sim = Endpoints(ros.node("sim"), lockstep=True)
         sim.listen(topics.RECORDED, wire.decode_header, told.append)
         lost = sim.publisher(topics.LOST, 1)
@@ -213,7 +218,7 @@ def test_the_sim_is_told_when_what_comes_seldom_comes_last(ros, tmp_path):
     infos = [topic_info(topic, lockstep=True) for topic in (*recorded, topics.TF)]
     with BagWriter(tmp_path / "flight", infos) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        recorder = LockstepRecorder(node, writer, recorded, Transforms([1]))
         sim = Endpoints(ros.node("sim"), lockstep=True)
         sim.listen(topics.RECORDED, wire.decode_header, told.append)
         flight = Flight(ros, recorded, lockstep=True)
@@ -365,3 +370,59 @@ def test_wrong_pair(text, capfd):
     with pytest.raises(SystemExit):
         main(["--bag", "x", "--uavs", "1", "--meta", text])
     assert "expected name=value" in capfd.readouterr().err
+
+
+PERIODS = {"/a": 1, "/b": 1, "/c": 5, "/d": 20}
+
+
+def test_nothing_is_complete_before_every_source_was_heard():
+    received = Completeness(["/a", "/b"])
+    assert not received.add("/a", 0)
+    assert not received.add("/a", 1)
+    assert received.add("/b", 0)
+    assert received.complete_ns == 0
+
+
+def test_a_rare_source_is_complete_up_to_its_next_message():
+    received = Completeness(["/a", "/c"])
+    for stamp in range(11):
+        received.add("/a", stamp)
+        if stamp % 5 == 0:
+            received.add("/c", stamp)
+    assert received.complete_ns == 10
+    for stamp in range(11, 20):
+        received.add("/a", stamp)
+    assert received.complete_ns == 14  # the message of 15 is missing
+
+
+def test_what_is_complete_has_arrived():
+    """Each source in order, the sources up to 60 stamps apart: nothing comes at or below `complete_ns` any more."""
+    for seed in range(30):
+        draw = random.Random(seed)
+        lag = {name: draw.randrange(60) for name in PERIODS}
+        sent = [(stamp, name) for name, every in PERIODS.items() for stamp in range(0, 300, every)]
+        received, left = Completeness(PERIODS), sorted(sent)
+        for stamp, name in sorted(sent, key=lambda one: (one[0] + lag[one[1]], one[1])):
+            assert stamp > received.complete_ns
+            received.add(name, stamp)
+            left.remove((stamp, name))
+            assert all(other > received.complete_ns for other, _ in left)
+        assert received.complete_ns >= 295
+
+
+def test_a_lost_source_holds_nothing_back():
+    received = Completeness(["/a", "/b"])
+    for stamp in range(5):
+        received.add("/a", stamp)
+    assert received.complete_ns == -1
+    assert received.lose("/b")
+    assert received.complete_ns == 4
+    assert not received.lose("/b")
+    assert not received.add("/b", 9)
+    assert received.add("/a", 5)
+
+
+def test_a_source_that_is_not_awaited_changes_nothing():
+    received = Completeness(["/a"])
+    assert not received.add("/x", 3)
+    assert received.complete_ns == -1
