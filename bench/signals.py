@@ -148,9 +148,9 @@ def _pids(folder: Path) -> dict[str, int]:
                 if "--uav" in words:
                     kind = "bridge" if "ptnsbc_nodes.bridge.bridge_main" in words else "uav"
                     found[f"{kind}{words[words.index('--uav') + 1]}"] = int(entry.name)
-                elif "ptnsbc_nodes.sim.main" in words:
+                elif "ptnsbc_nodes.sim.sim_main" in words:
                     found["sim"] = int(entry.name)
-                elif "ptnsbc_nodes.recording.main" in words:
+                elif "ptnsbc_nodes.recording.recorder_main" in words:
                     found["recorder"] = int(entry.name)
     return found
 

@@ -91,7 +91,7 @@ def _ready(plan: Plan) -> list[Row]:
         folder = Path(name)
         file = folder / "scenario.yaml"
         file.write_text(scenario.text, encoding="utf-8")
-        own = ("ptnsbc_nodes.uav.main", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
+        own = ("ptnsbc_nodes.uav.uav_main", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
         found = take_turns(
             {
                 "bare node": lambda: _start(folder, "bench.processes", "node", f"{_NODE_HZ:g}"),

@@ -16,9 +16,9 @@ PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 PROGRAMS = {
     "ptnsbc_nodes": {
-        "uav": "ptnsbc_nodes.uav.main:main",
-        "sim": "ptnsbc_nodes.sim.main:main",
-        "recorder": "ptnsbc_nodes.recording.main:main",
+        "uav": "ptnsbc_nodes.uav.uav_main:main",
+        "sim": "ptnsbc_nodes.sim.sim_main:main",
+        "recorder": "ptnsbc_nodes.recording.recorder_main:main",
         "fleet": "ptnsbc_nodes.fleet.main:main",
         "bridge": "ptnsbc_nodes.bridge.bridge_main:main",
         "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",

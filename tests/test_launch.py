@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from ptnsbc_nodes.bridge import bridge_main
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
-from ptnsbc_nodes.uav import main as uav_main
+from ptnsbc_nodes.uav import uav_main
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands import fleet as fleet_command

@@ -90,8 +90,8 @@ def _which(processes, name):
 
 KINDS = {  # what is killed: words of its command line, and whether launch then fails
     "a UAV": ("--uav 3", True),
-    "the sim": ("ptnsbc_nodes.sim.main", True),
-    "the recorder": ("ptnsbc_nodes.recording.main", True),
+    "the sim": ("ptnsbc_nodes.sim.sim_main", True),
+    "the recorder": ("ptnsbc_nodes.recording.recorder_main", True),
     "the launcher": ("-m ptnsbc_tools fleet", True),
 }
 

@@ -19,9 +19,9 @@ from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder

@@ -39,14 +39,13 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion, new_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, StatusLog
 from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
-from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_nodes.emergency.orders import (
     APART,

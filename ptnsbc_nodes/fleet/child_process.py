@@ -66,9 +66,9 @@ class ProcessCommand:
 
 
 EXECUTABLES = {
-    "ptnsbc_nodes.uav.main": "uav",
-    "ptnsbc_nodes.sim.main": "sim",
-    "ptnsbc_nodes.recording.main": "recorder",
+    "ptnsbc_nodes.uav.uav_main": "uav",
+    "ptnsbc_nodes.sim.sim_main": "sim",
+    "ptnsbc_nodes.recording.recorder_main": "recorder",
     "ptnsbc_nodes.bridge.bridge_main": "bridge",
     "ptnsbc_nodes.fleet.main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",

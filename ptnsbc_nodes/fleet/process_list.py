@@ -95,7 +95,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
     found += [_uavs(common, group) for group in groups(options)]
     if options.backend != "mavlink":
-        found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
+        found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
     here = [one for one in found if not options.only or one.name in options.only]
     if options.operator and options.leads:
         arguments = ("--scenario", str(scenario_file))
@@ -147,11 +147,11 @@ def _uavs(common: Sequence[str], group: tuple[int, ...]) -> ProcessCommand:
     arguments = (*common, "--uav", *map(str, group))
     if len(group) > 1:
         name = f"uav{group[0]}-{group[-1]}"
-        return ProcessCommand(name, "ptnsbc_nodes.uav.main", arguments, group)
+        return ProcessCommand(name, "ptnsbc_nodes.uav.uav_main", arguments, group)
     (uav,) = group
     managed = f"/uav{uav}/controller"
     return ProcessCommand(
-        f"uav{uav}", "ptnsbc_nodes.uav.main", (*arguments, "--managed"), group, managed
+        f"uav{uav}", "ptnsbc_nodes.uav.uav_main", (*arguments, "--managed"), group, managed
     )
 
 
@@ -199,4 +199,4 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         "--overwrite": options.overwrite,
     }
     arguments += [flag for flag, on in chosen.items() if on]
-    return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))
+    return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.recorder_main", tuple(arguments))

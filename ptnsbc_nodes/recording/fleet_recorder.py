@@ -19,10 +19,10 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, SIM, Role, Topic
 from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, stamp_of
 

@@ -29,9 +29,9 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo
 from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import Role, Topic
 from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
 from ptnsbc_nodes.runtime.provenance import provenance

@@ -15,11 +15,10 @@ from typing import NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
+from ptnsbc_nodes.comm.drawing import Scene
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
-from ptnsbc_nodes.comm.markers import Scene
-from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_nodes.comm.topics import RECORDED_EVERY
 from ptnsbc_nodes.runtime.pacing import Latency, Pace
 from ptnsbc_sim.counters import status_every

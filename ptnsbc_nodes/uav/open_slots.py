@@ -10,9 +10,9 @@ from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import MODE_FORMATION, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Leg
-from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
 from ptnsbc_nodes.uav.uav_controller import UavController
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import Slots, optimal_slots, with_slots

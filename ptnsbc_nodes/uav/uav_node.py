@@ -12,9 +12,9 @@ from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
+from ptnsbc_nodes.comm.drawing import publish_description
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.comm.robot_description import publish_description
 from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.uav_flight import UavFlight

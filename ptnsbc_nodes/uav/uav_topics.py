@@ -12,7 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
-from ptnsbc_nodes.comm.announcements import decode_lost, fault_decoder
+from ptnsbc_nodes.comm.announcements import Decision, decode_lost, encode_slots, fault_decoder
 from ptnsbc_nodes.comm.door import (
     LockstepStamps,
     RealTimeStamps,
@@ -23,7 +23,6 @@ from ptnsbc_nodes.comm.door import (
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.comm.vehicle_messages import decode_limits
 from ptnsbc_nodes.uav.clocks import UavClock

@@ -13,9 +13,8 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import MODE_FORMATION, Array
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
-from ptnsbc_nodes.comm.announcements import LostProcess
+from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
-from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word

@@ -16,7 +16,7 @@ from ptnsbc_io.wire import (
     decode_wrench,
 )
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
+from ptnsbc_nodes.comm.announcements import DecidedSlots, keep_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken

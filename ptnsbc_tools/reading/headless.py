@@ -14,9 +14,8 @@ from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
-from ptnsbc_nodes.comm.slots import Decision, encode_slots
-from ptnsbc_nodes.comm.tf import Transforms
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, Transforms
+from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.uav.uav_faults import sent_faults
@@ -88,7 +87,7 @@ class _StatusMessages:
     """/diagnostics of all UAVs and of the sim, and the markers; both five times a second."""
 
     def __init__(self, flight: HeadlessFlight) -> None:
-        from ptnsbc_nodes.comm.markers import Scene
+        from ptnsbc_nodes.comm.drawing import Scene
 
         scenario = flight.scenario
         self._flight = flight
@@ -176,7 +175,7 @@ def prepare_bag(directory: Path, *, overwrite: bool) -> None:
     environment.prepare()
     try:
         import_module("ptnsbc_nodes.recording.recorder")
-        import_module("ptnsbc_nodes.comm.markers")
+        import_module("ptnsbc_nodes.comm.drawing")
     except ImportError as error:
         raise BagSupportError(
             f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"

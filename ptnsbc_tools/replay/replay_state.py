@@ -10,9 +10,9 @@ from ptnsbc_core.types import LEGS
 from ptnsbc_io.bag import Bag, BagMessage
 from ptnsbc_io.wire import WireError, decode_diagnostics, decode_floats, decode_header
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import DecidedSlots, keep_recorded
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of

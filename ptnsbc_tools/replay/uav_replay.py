@@ -14,8 +14,8 @@ from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
 from ptnsbc_io.wire import Stamped, WireError, decode_floats
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
+from ptnsbc_nodes.comm.announcements import DecidedSlots
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
-from ptnsbc_nodes.comm.slots import DecidedSlots
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
 from ptnsbc_nodes.uav.open_slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (

@@ -322,9 +322,9 @@ def test_a_simulated_fleet_needs_no_mavlink() -> None:
     """pymavlink is an extra of the package."""
     programs = (
         "fleet.main",
-        "uav.main",
-        "sim.main",
-        "recording.main",
+        "uav.uav_main",
+        "sim.sim_main",
+        "recording.recorder_main",
         "fleet.coordinator_main",
     )
     modules = ", ".join(f"ptnsbc_nodes.{program}" for program in programs)

@@ -104,7 +104,7 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         fleet.wait_for("all are ready: the flight begins when an operator calls /formation/start")
         mission("start", 1)
         fleet.wait_for(*(f"bridge{i}: in formation" for i in THREE))
-        os.kill(pid_of("ptnsbc_nodes.uav.main", 3, logs), signal.SIGKILL)
+        os.kill(pid_of("ptnsbc_nodes.uav.uav_main", 3, logs), signal.SIGKILL)
         fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ")
         os.kill(pid_of("ptnsbc_nodes.bridge.bridge_main", 4, logs), signal.SIGKILL)
         fleet.wait_for("bridge4 (pid ")

@@ -20,7 +20,7 @@ def test_what_lies_in_the_current_folder_is_not_imported(monkeypatch, tmp_path):
     for name in ("numpy.py", "yaml.py", "rclpy.py", "ptnsbc_nodes/__init__.py"):
         (folder / name).write_text("raise SystemExit('this is not it')")
     monkeypatch.chdir(folder)
-    command = ProcessCommand("sim", "ptnsbc_nodes.sim.main", ("--version",))
+    command = ProcessCommand("sim", "ptnsbc_nodes.sim.sim_main", ("--version",))
     child = ChildProcess(command, environment.for_children(5, 1, tmp_path), tmp_path)
     assert child.wait(60.0) == 0, child.tail()
     assert child.log_lines()[-1].startswith("ptnsbc ")

@@ -259,7 +259,7 @@ def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
     flight.wait_for("uav5 (pid ", "is stuck: it is ended")
     flight.wait_for("uav5 (pid ", "signal SIGKILL")
     flight.wait_for("steps/s")
-    os.kill(flight.pid_of("sim.main"), signal.SIGKILL)
+    os.kill(flight.pid_of("sim.sim_main"), signal.SIGKILL)
     flight.wait_for("sim (pid ", "signal SIGKILL")
     assert flight.finish() == 1
     assert "lost uav3, uav5, sim" in flight.lines[-1]
@@ -307,7 +307,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
     """To its end, without one of the UAVs as well."""
     flight = launch("--duration", "20", "--bag", str(tmp_path / "bag"))
     flight.wait_until_flown(5.5)  # the sim is 4 s ahead of the recorder at most
-    os.kill(flight.pid_of("ptnsbc_nodes.recording.main"), signal.SIGKILL)
+    os.kill(flight.pid_of("ptnsbc_nodes.recording.recorder_main"), signal.SIGKILL)
     flight.wait_for("recorder (pid ", "signal SIGKILL")
     os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
     assert flight.finish() == 1

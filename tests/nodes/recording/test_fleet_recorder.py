@@ -19,15 +19,15 @@ pytest.importorskip("rclpy")
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.recording.fleet_recorder import (
     Completeness,
     LockstepRecorder,
     RealTimeRecorder,
 )
-from ptnsbc_nodes.recording.main import main
 from ptnsbc_nodes.recording.recorder import BagRecorder, stamp_of, topic_info
+from ptnsbc_nodes.recording.recorder_main import main
 
 ROOT = Path(__file__).parents[3]
 TICK_NS = 10_000_000
@@ -277,7 +277,7 @@ class Process:
 
     def __init__(self, domain: int, *arguments: str) -> None:
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "ptnsbc_nodes.recording.main", *arguments],
+            [sys.executable, "-m", "ptnsbc_nodes.recording.recorder_main", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

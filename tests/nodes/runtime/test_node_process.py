@@ -55,10 +55,10 @@ def start(domain, tmp_path):
 def commands(tmp_path, domain):
     """Name in the graph of each kind of process: how it is started."""
     found = {
-        "/uav1/controller": ("uav.main", "--scenario", "paper_5", "--uav", 1),
-        "/uav2/controller": ("uav.main", "--scenario", "paper_5", "--uav", 2, "--managed"),
-        "/sim": ("sim.main", "--scenario", "paper_5"),
-        "/recorder": ("recording.main", "--bag", tmp_path / "bag", "--uavs", 1, 2),
+        "/uav1/controller": ("uav.uav_main", "--scenario", "paper_5", "--uav", 1),
+        "/uav2/controller": ("uav.uav_main", "--scenario", "paper_5", "--uav", 2, "--managed"),
+        "/sim": ("sim.sim_main", "--scenario", "paper_5"),
+        "/recorder": ("recording.recorder_main", "--bag", tmp_path / "bag", "--uavs", 1, 2),
     }
     try:
         import pymavlink  # noqa: F401
@@ -142,7 +142,7 @@ def test_a_node_waits_without_burning_the_processor(domain):
     ],
 )
 def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, says):
-    process = start("uav.main", *arguments)
+    process = start("uav.uav_main", *arguments)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out) == (2, "")
     assert err.startswith("uav: ") and says in err

@@ -100,10 +100,10 @@ if at == "start":
 
 SCENARIO = ("--scenario", "paper_5")
 PROCESSES = {
-    "uav": ("ptnsbc_nodes.uav.main", *SCENARIO, "--uav", "1"),
-    "sim": ("ptnsbc_nodes.sim.main", *SCENARIO),
+    "uav": ("ptnsbc_nodes.uav.uav_main", *SCENARIO, "--uav", "1"),
+    "sim": ("ptnsbc_nodes.sim.sim_main", *SCENARIO),
     "bridge": ("ptnsbc_nodes.bridge.bridge_main", *SCENARIO, "--uav", "1"),
-    "recorder": ("ptnsbc_nodes.recording.main", "--bag", "bag", "--uavs", "1"),
+    "recorder": ("ptnsbc_nodes.recording.recorder_main", "--bag", "bag", "--uavs", "1"),
     "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
     "fleet": ("ptnsbc_nodes.fleet.main", *SCENARIO),
     "ptnsbc fleet": ("ptnsbc_tools", "fleet", "paper_5"),

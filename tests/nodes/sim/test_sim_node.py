@@ -16,7 +16,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.sim import main
+from ptnsbc_nodes.sim import sim_main
 from ptnsbc_nodes.sim.sim_node import sim_node
 from ptnsbc_nodes.sim.stepping import RecorderBacklog
 from ptnsbc_sim.scenario import load_scenario
@@ -285,7 +285,7 @@ def test_markers_show_uavs_obstacles_edges_and_path(ros, scenario):
 
 
 def test_a_users_error_is_one_line_and_exit_2(capsys):
-    assert main.main(["--scenario", "nowhere.yaml"]) == 2
+    assert sim_main.main(["--scenario", "nowhere.yaml"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("sim: ")
@@ -309,4 +309,4 @@ def test_the_world_of_a_fleet_that_fills_the_cores_is_never_late(monkeypatch, ar
         monkeypatch.setattr(environment, f"prefer_{name}", ask(name))
     monkeypatch.setattr("ptnsbc_nodes.comm.graph.CommunicationGraph", ask("nothing"))
     with pytest.raises(AskedError, match=wanted):
-        main.main(["--scenario", "paper_20", *arguments])
+        sim_main.main(["--scenario", "paper_20", *arguments])

@@ -9,9 +9,9 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.comm.announcements import Decision
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.slots import Decision
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.open_slots import OpenSlots, SlotDecider, SlotHolder, at_epoch
 from ptnsbc_nodes.uav.step_log import sources, used_by

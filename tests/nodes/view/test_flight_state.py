@@ -14,8 +14,7 @@ import pytest
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
-from ptnsbc_nodes.comm.announcements import LostProcess
-from ptnsbc_nodes.comm.slots import Decision
+from ptnsbc_nodes.comm.announcements import Decision, LostProcess
 from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, RecentStates, scenario_of
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.slots import with_slots

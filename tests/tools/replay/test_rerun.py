@@ -14,7 +14,7 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagMessage, read_bag
 from ptnsbc_io.wire import decode_integers, peek_stamp
-from ptnsbc_nodes.comm.slots import Decision, encode_slots
+from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.uav.step_log import tick_note
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.replay.rerun import rerun

@@ -1,4 +1,4 @@
-"""Process of one UAV, or of several: `python -m ptnsbc_nodes.uav.main --scenario FILE --uav N... [--lockstep]`."""
+"""Process of one UAV, or of several: `python -m ptnsbc_nodes.uav.uav_main --scenario FILE --uav N... [--lockstep]`."""
 
 from __future__ import annotations
 

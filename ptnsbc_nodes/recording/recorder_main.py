@@ -1,4 +1,4 @@
-"""Process of the recorder: `python -m ptnsbc_nodes.recording.main --bag DIR --uavs N...`.
+"""Process of the recorder: `python -m ptnsbc_nodes.recording.recorder_main --bag DIR --uavs N...`.
 
 It says `ready` on stderr when it listens. At SIGINT or SIGTERM it completes the bag and prints one line of JSON
 on stdout.
@@ -57,8 +57,8 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
 def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> None:
     from ptnsbc_io.bag import BagWriter
     from ptnsbc_nodes.comm import topics
+    from ptnsbc_nodes.comm.agent_messages import Transforms
     from ptnsbc_nodes.comm.seal import required_seal
-    from ptnsbc_nodes.comm.tf import Transforms
     from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
     from ptnsbc_nodes.recording.recorder import BagRecorder, recorder_node, topic_info
     from ptnsbc_nodes.runtime.launcher import report_running
@@ -103,7 +103,7 @@ def _drawing(scenario_file: str | None) -> Derive | None:
     """The function that makes /formation/markers of odometry; None where nothing is drawn."""
     if scenario_file is None:
         return None
-    from ptnsbc_nodes.comm.markers import OdometryMarkers
+    from ptnsbc_nodes.comm.drawing import OdometryMarkers
     from ptnsbc_sim.scenario import load_scenario
 
     return OdometryMarkers(load_scenario(scenario_file, {})).of

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 
-from ptnsbc_nodes.uav import main
+from ptnsbc_nodes.uav import uav_main
 
 pytestmark = pytest.mark.ros
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 )
 def test_a_users_error_is_one_line_and_exit_2(arguments, line, capsys):
     try:
-        code = main.main(arguments)
+        code = uav_main.main(arguments)
     except SystemExit as exit:
         code = exit.code
     assert code == 2

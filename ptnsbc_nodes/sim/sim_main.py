@@ -1,4 +1,4 @@
-"""Process of the vehicles: `python -m ptnsbc_nodes.sim.main --scenario FILE [--lockstep]`."""
+"""Process of the vehicles: `python -m ptnsbc_nodes.sim.sim_main --scenario FILE [--lockstep]`."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ import pytest
 from ptnsbc_io import wire
 from ptnsbc_io.bag.metadata import definition
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import LiveTransforms, Transforms
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.tf import LiveTransforms, Transforms
 
 STATE = np.arange(13.0) + 0.5
 MS = 1_000_000

@@ -4,7 +4,7 @@ import pytest
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import HeaderTemplate
-from ptnsbc_nodes.comm.slots import (
+from ptnsbc_nodes.comm.announcements import (
     DecidedSlots,
     Decision,
     decode_slots,
