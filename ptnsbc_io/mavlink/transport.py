@@ -50,36 +50,34 @@ class Transport(Protocol):
         """Close the port."""
 
 
-class _UdpSocket:
+class UdpSocket:
+    """A UDP port that listens for the vehicle, or that sends to one address and receives only from there."""
+
     stream = False
 
-    def __init__(self) -> None:
+    def __init__(self, host: str, port: int, *, listens: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        self._peer: Address | None = None if listens else (host, port)
+        try:
+            if listens:
+                self._socket.bind((host, port))
+            else:
+                self._socket.connect((host, port))
+        except OSError as error:
+            self._socket.close()
+            expected = (
+                f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
+                "does another bridge or ground station listen there?"
+                if listens
+                else f"udpout:{host}:{port}: {error.strerror}: expected an address that can be reached"
+            )
+            raise ConnectError(expected) from None
 
     def fileno(self) -> int:
         """For select()."""
         return self._socket.fileno()
-
-    def close(self) -> None:
-        """Close the port."""
-        self._socket.close()
-
-
-class UdpIn(_UdpSocket):
-    """Listens at an address and sends to the vehicle that the link has accepted."""
-
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__()
-        try:
-            self._socket.bind((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise ConnectError(
-                f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
-                "does another bridge or ground station listen there?"
-            ) from None
 
     def receive(self) -> Packet | None:
         """A datagram and its sender."""
@@ -87,45 +85,20 @@ class UdpIn(_UdpSocket):
             data, sender = self._socket.recvfrom(_DATAGRAM)
         except OSError:  # nothing has arrived, or an ICMP error of a packet we sent
             return None
-        return Packet(data, sender)
+        return Packet(data, self._peer or sender)
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """Send to the vehicle, once it is known."""
-        if address is None:
-            return False
+        """Send to the peer, or to the vehicle once it is known."""
         try:
-            return self._socket.sendto(data, address) == len(data)
+            if self._peer is not None:
+                return self._socket.send(data) == len(data)
+            return address is not None and self._socket.sendto(data, address) == len(data)
         except OSError:
             return False
 
-
-class UdpOut(_UdpSocket):
-    """Sends to one address and receives only from there."""
-
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__()
-        try:
-            self._socket.connect((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise ConnectError(
-                f"udpout:{host}:{port}: {error.strerror}: expected an address that can be reached"
-            ) from None
-        self._peer: Address = (host, port)
-
-    def receive(self) -> Packet | None:
-        """A datagram of the peer."""
-        try:
-            return Packet(self._socket.recv(_DATAGRAM), self._peer)
-        except OSError:
-            return None
-
-    def send(self, data: bytes, address: Address | None) -> bool:
-        """Send to the peer."""
-        try:
-            return self._socket.send(data) == len(data)
-        except OSError:
-            return False
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()
 
 
 class Serial:
@@ -183,4 +156,4 @@ def connect(text: str) -> Transport:
         raise ConnectError(f"{text}: {_EXPECTED}")
     if not 0 < int(port) < 65536:
         raise ConnectError(f"{text}: port {port}: expected 1 to 65535")
-    return (UdpIn if kind == "udpin" else UdpOut)(host, int(port))
+    return UdpSocket(host, int(port), listens=kind == "udpin")

@@ -24,11 +24,8 @@ from ptnsbc_sim.scenario.approach.deadline import longest_need, start_errors
 from ptnsbc_sim.scenario.approach.limits import limits_left
 
 SETTLE_S = 4.0
-_TONES = (
-    (0.1, 3),
-    (0.25, 4),
-    (0.5, 6),
-)  # [Hz], and periods; the first period of each is not evaluated
+# [Hz], and periods; the first period of each is not evaluated
+_TONES = ((0.1, 3), (0.25, 4), (0.5, 6))
 _MOST_M_S, _LEAST_M_S = 0.5, 0.1
 _SHARE = 0.6  # of half the box, for the motion itself; the rest is for drift
 _HOLD_1_S, _HOLD_M_S = 0.2, 0.3  # how the middle of the box is held meanwhile
@@ -80,24 +77,18 @@ class Excitation:
         Raises:
             TuneError: the box is too small for a motion that shows something.
         """
-        self.box_m = box_m
-        self.tones = tuple(self._tones(box_m))
+        self.box_m, self.end_s = box_m, SETTLE_S
+        self.tones: list[Tone] = []
+        for hertz, periods in _TONES:
+            room_m_s = _SHARE * 0.5 * box_m * 2.0 * math.pi * hertz
+            begin_s, self.end_s = self.end_s, self.end_s + periods / hertz
+            self.tones.append(Tone(hertz, min(_MOST_M_S, room_m_s), begin_s, self.end_s))
         slowest = self.tones[0]
         if slowest.amplitude_m_s < _LEAST_M_S:
             least_m = 2.0 * _LEAST_M_S / (_SHARE * 2.0 * math.pi * slowest.hertz)
             raise TuneError(
                 f"--box {box_m:g}: expected at least {math.ceil(10 * least_m) / 10:g} m"
             )
-        self.end_s = self.tones[-1].end_s
-
-    @staticmethod
-    def _tones(box_m: float) -> Sequence[Tone]:
-        found, at_s = [], SETTLE_S
-        for hertz, periods in _TONES:
-            room_m_s = _SHARE * 0.5 * box_m * 2.0 * math.pi * hertz
-            found.append(Tone(hertz, min(_MOST_M_S, room_m_s), at_s, at_s + periods / hertz))
-            at_s += periods / hertz
-        return found
 
     def wanted(self, t: float, away: Array) -> Array:
         """Velocity (3,) [m/s, ENU] at `t` [s] since the start, `away` (3,) [m] from the middle of the box."""
@@ -126,22 +117,17 @@ class Excitation:
 
 
 def _point(tone: Tone, sent: Array, flown: Array) -> FrequencyPoint:
-    given, made = _phasor(tone, sent), _phasor(tone, flown)
-    if made.rest_m_s > _NOISE * abs(made.value):
+    (given, _), (made, rest_m_s) = _phasor(tone, sent), _phasor(tone, flown)
+    if rest_m_s > _NOISE * abs(made):
         raise TuneError(
-            f"at {tone.hertz:g} Hz the vehicle flew {abs(made.value):.2f} m/s, and {made.rest_m_s:.2f} m/s that were "
-            f"not asked for: expected at most {_NOISE:.0%}; fly in less wind, or with a larger --box"
+            f"at {tone.hertz:g} Hz the vehicle flew {abs(made):.2f} m/s, and {rest_m_s:.2f} m/s that were not asked "
+            f"for: expected at most {_NOISE:.0%}; fly in less wind, or with a larger --box"
         )
-    return FrequencyPoint(tone.hertz, made.value / given.value)
+    return FrequencyPoint(tone.hertz, made / given)
 
 
-class _Phasor(NamedTuple):
-    value: complex
-    rest_m_s: float  # root of the mean square of what is left
-
-
-def _phasor(tone: Tone, rows: Array) -> _Phasor:
-    """Least squares of a sinusoid beside a constant and a drift."""
+def _phasor(tone: Tone, rows: Array) -> tuple[complex, float]:
+    """Least squares of a sinusoid beside a constant and a drift; and the root of the mean square of what is left."""
     rows = rows[(rows[:, 0] >= tone.evaluated_s) & (rows[:, 0] < tone.end_s)]
     if len(rows) < _LEAST_SAMPLES:
         raise TuneError(
@@ -151,8 +137,8 @@ def _phasor(tone: Tone, rows: Array) -> _Phasor:
     phase = 2.0 * math.pi * tone.hertz * t
     waves = np.stack((np.cos(phase), np.sin(phase), np.ones_like(t), t - t.mean()), axis=1)
     parts, *_ = np.linalg.lstsq(waves, rows[:, 1], rcond=None)
-    rest = math.sqrt(float(np.mean((rows[:, 1] - waves @ parts) ** 2)))
-    return _Phasor(complex(parts[0], -parts[1]), rest)
+    rest_m_s = math.sqrt(float(np.mean((rows[:, 1] - waves @ parts) ** 2)))
+    return complex(parts[0], -parts[1]), rest_m_s
 
 
 AGREES = 0.1
@@ -259,20 +245,16 @@ def settings(scenario: Scenario, vehicle: Identified) -> Settings:
     residual = min(own.residual, share)
     loop = agent_config(scenario, scenario.leader.id).formation
     loop = loop._replace(kappa=kappa, residual=residual)
-    shortest = _shortest_s(loop, vehicle, share, _limit_s(scenario), lead=lead)
-    return Settings(
-        kappa, most, filter_1_s, residual, max(float(own.deadline_s), shortest), shortest
-    )
-
-
-def _limit_s(scenario: Scenario) -> float:
-    """The deadline that speed and acceleration allow."""
-    left = limits_left(scenario)
-    if min(left) <= 0.0:
+    limits = limits_left(scenario)
+    if min(limits) <= 0.0:
         raise TuneError(
             f"{scenario.source}: the leader's motion leaves nothing of the limits: see ptnsbc check"
         )
-    return longest_need(scenario, left).deadline_s
+    least_s = longest_need(scenario, limits).deadline_s
+    shortest = _shortest_s(loop, vehicle, share, least_s, lead=lead)
+    return Settings(
+        kappa, most, filter_1_s, residual, max(float(own.deadline_s), shortest), shortest
+    )
 
 
 def _shortest_s(

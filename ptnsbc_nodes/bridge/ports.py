@@ -22,12 +22,8 @@ class BridgeInputs:
     """The messages that the bridge receives: the thread of the node writes it, the thread of the bridge reads it."""
 
     setpoint: bytes | None = None  # newest
-    wanted: Stamped | None = (
-        None  # newest velocity that the planner wants, where the setpoint is a wrench
-    )
-    legs: list[HeaderFields] = field(
-        default_factory=list
-    )  # epochs in the order of their announcement
+    wanted: Stamped | None = None  # newest velocity of the planner, where the setpoint is a wrench
+    legs: list[HeaderFields] = field(default_factory=list)  # epochs as they are announced
     taken: list[Stamped] = field(default_factory=list)  # setpoints that the leader follows
     near_uavs: Array = field(default_factory=lambda: np.empty((0, NEAR_COLUMNS)))
     """The other vehicles (M, 7), wherever they are: x y z keep-out vx vy vz."""

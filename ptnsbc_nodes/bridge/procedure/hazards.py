@@ -53,9 +53,7 @@ class Sight(NamedTuple):
     position: Array  # (3,) [m], world
     velocity: Array  # (3,) [m/s], world
     reference_m_s: Array  # (3,) velocity of its place in the formation
-    wanted_m_s: (
-        Array | None
-    )  # (3,) velocity that its planner wants; None while it flies by nothing of it
+    wanted_m_s: Array | None  # (3,) what its planner wants; None while it does not fly by it
     others: Array  # (M, 7) x y z keep-out vx vy vz of the other vehicles
     settled_s: float  # time since the formation's deadline; negative before it
     places: Array | None = None

@@ -117,9 +117,7 @@ class VehicleSnapshot:
     climbs_first: str = ""  # other vehicles that climb before this one
     companion_out: str = ""  # another vehicle that will not fly, and why
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
-    left_behind: str = (
-        "armed"  # the armed vehicle's place and mode, and what it does without its bridge
-    )
+    left_behind: str = "armed"  # and its place, mode, and what it does without its bridge
 
     @property
     def lands(self) -> bool:

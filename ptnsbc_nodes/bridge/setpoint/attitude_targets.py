@@ -418,9 +418,7 @@ class AttitudeResponse(NamedTuple):
 
     delay_s: float  # from the state that a target answers to its force
     tilt_lag_s: float  # of the tilt behind the target
-    led: bool = (
-        True  # whether the vehicle flies the rates of roll and pitch that are sent with a target
-    )
+    led: bool = True  # whether it flies the rates of roll and pitch that are sent with a target
 
 
 def _rise(config: AgentConfig, kappa_1_s: float, flown: Any, observed: bool, s: Any) -> float:

@@ -12,9 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.autopilots import AutopilotLimits
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
-_APPROACH_1_S = (
-    1.0  # allowed speed towards the fence per metre of distance, and inwards per metre outside
-)
+_APPROACH_1_S = 1.0  # allowed speed towards the fence per metre to it, and inwards outside
 _EPSILON = 1e-9
 
 

@@ -41,12 +41,10 @@ class Transfer(NamedTuple):
 
 
 class Inverse(NamedTuple):
-    """The additions to a wanted velocity, and the acceleration beside it, per unit of drag and without."""
+    """The addition to a wanted velocity, if any, and the acceleration beside it; each without and per unit of drag."""
 
-    velocity: Transfer | None
-    velocity_by_drag: Transfer | None
-    acceleration: Transfer
-    acceleration_by_drag: Transfer
+    velocity: tuple[Transfer, Transfer] | None
+    acceleration: tuple[Transfer, Transfer]
 
 
 def inverse(response: VelocityResponse, smoothing_s: float = _SMOOTHING_S) -> Inverse:
@@ -58,24 +56,19 @@ def inverse(response: VelocityResponse, smoothing_s: float = _SMOOTHING_S) -> In
     smooth = _ONE + smoothing_s * _S
     if response.shaping_1_s is None:
         below = smooth**3
-        return Inverse(
-            None,
-            None,
-            Transfer(_S * lag + response.derivative * _S, below),
-            Transfer(lag, below),
-        )
+        pushed = Transfer(_S * lag + response.derivative * _S, below), Transfer(lag, below)
+        return Inverse(None, pushed)
     # u - wanted = (1/L - 1) s + d/L over s + C (1 + p/s); the shaped velocity follows u with its acceleration exactly.
     loop = Polynomial([response.integral, response.gain, response.derivative])
     loop = loop * Polynomial([response.position_gain, 1.0])
     below = (_S**3 + loop) * smooth**2
     ahead, dragged = (lag - _ONE) * _S**3, lag * _S**2
     wanted = (_S**3 + loop) * _S
-    return Inverse(
-        Transfer(ahead, below),
-        Transfer(dragged, below),
+    pushed = (
         Transfer(wanted + ahead * _S, below * smooth),
         Transfer(dragged * _S, below * smooth),
     )
+    return Inverse((Transfer(ahead, below), Transfer(dragged, below)), pushed)
 
 
 def flown_per_wanted(
@@ -92,9 +85,11 @@ def flown_per_wanted(
     s = np.asarray(s)
     sent, push = np.ones_like(s), np.zeros_like(s)
     if lead is not None:
-        push = lead.acceleration.at(s) + drag_1_s * lead.acceleration_by_drag.at(s)
-        if lead.velocity is not None and lead.velocity_by_drag is not None:
-            sent = sent + lead.velocity.at(s) + drag_1_s * lead.velocity_by_drag.at(s)
+        still, dragged = lead.acceleration
+        push = still.at(s) + drag_1_s * dragged.at(s)
+        if lead.velocity is not None:
+            still, dragged = lead.velocity
+            sent = sent + still.at(s) + drag_1_s * dragged.at(s)
     lag = 1.0 / ((1.0 + response.tilt_s[0] * s) * (1.0 + response.tilt_s[1] * s))
     loop, slope = response.gain + response.integral / s, response.derivative * s
     if response.shaping_1_s is None:
@@ -150,9 +145,8 @@ class _Filter:
         while above[0] == 0.0 and below[0] == 0.0:
             above, below = above[1:], below[1:]
         sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
-        self._sections: list[list[float]] = np.delete(
-            sections, 3, axis=1
-        ).tolist()  # b0 b1 b2 a1 a2
+        rows: list[list[float]] = np.delete(sections, 3, axis=1).tolist()
+        self._sections = rows  # b0 b1 b2 a1 a2
         self._rest = sosfilt_zi(sections)
         self._memory: list[list[list[float]]] | None = None  # two numbers per axis and section
 
@@ -183,15 +177,13 @@ class VelocityLead:
 
     def __init__(self, response: VelocityResponse, period_s: float) -> None:
         made = inverse(response)
-        self._velocity, self._velocity_by_drag, self._acceleration, self._by_drag = (
-            None if transfer is None else _Filter(transfer, period_s) for transfer in made
-        )
+        self._acceleration = [_Filter(transfer, period_s) for transfer in made.acceleration]
+        self._velocity = [_Filter(transfer, period_s) for transfer in made.velocity or ()]
 
     def restart(self) -> None:
         """The next velocity begins a new sequence."""
-        for one in (self._velocity, self._velocity_by_drag, self._acceleration, self._by_drag):
-            if one is not None:
-                one.restart()
+        for part in (*self._velocity, *self._acceleration):
+            part.restart()
 
     def setpoint(self, wanted: Array, drag_1_s: float) -> tuple[Array, Array]:
         """Velocity (2,) [m/s] and acceleration (2,) [m/s^2] to send one period after those before.
@@ -201,15 +193,11 @@ class VelocityLead:
             drag_1_s: specific drag of the vehicle.
         """
         velocity = wanted
-        if self._velocity is not None and self._velocity_by_drag is not None:
-            velocity = (
-                wanted
-                + self._velocity.step(wanted)
-                + drag_1_s * self._velocity_by_drag.step(wanted)
-            )
-        assert self._acceleration is not None
-        assert self._by_drag is not None
-        return velocity, self._acceleration.step(wanted) + drag_1_s * self._by_drag.step(wanted)
+        if self._velocity:
+            still, dragged = self._velocity
+            velocity = wanted + still.step(wanted) + drag_1_s * dragged.step(wanted)
+        still, dragged = self._acceleration
+        return velocity, still.step(wanted) + drag_1_s * dragged.step(wanted)
 
 
 class DragEstimator:
@@ -270,10 +258,7 @@ class DragEstimator:
 _PERIOD_S = 0.05
 _SPAN_S, _LEAST_SPAN_S = 30.0, 10.0
 _MOST_LAG_S = 1.0
-_GAIN_OFF, _LAG_OFF_S = (
-    0.3,
-    0.3,
-)  # farther from what was wanted, the prediction does not fit the vehicle
+_GAIN_OFF, _LAG_OFF_S = 0.3, 0.3  # farther from what was wanted, the prediction does not fit
 _LEAST_M_S = 0.1  # root of the mean square of what was wanted about its mean: less shows nothing
 
 

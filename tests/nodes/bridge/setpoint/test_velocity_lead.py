@@ -123,10 +123,10 @@ def filtered(transfer, wanted):
 def test_sample_by_sample_it_is_the_filter_that_scipy_makes_of_the_whole(response):
     wanted = np.random.default_rng(7).uniform(-2.0, 2.0, (500, 2)).cumsum(axis=0)
     made, drag = inverse(response), 0.4
-    push = filtered(made.acceleration, wanted) + drag * filtered(made.acceleration_by_drag, wanted)
+    push = filtered(made.acceleration[0], wanted) + drag * filtered(made.acceleration[1], wanted)
     ahead = np.zeros((500, 2))
     if made.velocity is not None:
-        ahead = filtered(made.velocity, wanted) + drag * filtered(made.velocity_by_drag, wanted)
+        ahead = filtered(made.velocity[0], wanted) + drag * filtered(made.velocity[1], wanted)
     lead = VelocityLead(response, PERIOD_S)
     sent = np.array([lead.setpoint(velocity, drag) for velocity in wanted])
     assert np.abs(sent[:, 0] - wanted - ahead).max() <= 1e-12 * np.abs(wanted).max()
