@@ -95,7 +95,7 @@ def slots() -> Any:
     starts = np.array(
         [[-3.6, -1.2, 0.0], [0.4, -2.2, 0], [-2.8, 2.6, 0], [-0.2, 1.6, 0], [-4, 0.6, 0]]
     )
-    chosen = [np.arange(5), nearest_places(starts, places)]
+    chosen = [np.arange(5), nearest_places(starts, places, centred=True)]
     figure, both = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained", sharey=True)
     for axes, order, title in zip(both, chosen, ("fixed", "optimal"), strict=True):
         total = 0.0

@@ -53,7 +53,7 @@ def optimal_slots(
             raise SlotsError(f"slots: no finite position of UAV {uav}: expected one of every UAV")
     starts = np.stack([positions[uav] for uav in ids])
     places = np.concatenate([places_beside_leader(scenario, uav, np.array([t])) for uav in ids])
-    order = nearest_places(starts, places)
+    order = nearest_places(starts, places, centred=True)
     return {uav: ids[int(row)] for uav, row in zip(ids, order, strict=True)}
 
 

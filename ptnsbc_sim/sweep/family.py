@@ -35,8 +35,8 @@ class FamilyTree(Block):
 class FamilyShape(Block):
     """The formation."""
 
-    kinds: tuple[Literal["v", "line", "grid", "circle", "random"], ...] = ("v",)
-    """One of these is drawn."""
+    kinds: tuple[Literal["v", "line", "column", "grid", "circle", "sphere", "random"], ...] = ("v",)
+    """One of these is drawn: those of `formation.shape`, or `random` places."""
     spacing_m: Range = 2.0
     """Between neighbours in the shape; of the random shape the least distance."""
 

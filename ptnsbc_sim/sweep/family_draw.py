@@ -12,9 +12,10 @@ import numpy as np
 
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.mission.shapes import circle_places, column_places, grid_places, v_places
+from ptnsbc_sim.scenario.gains import Filter
+from ptnsbc_sim.scenario.mission.shapes import SHAPES
+from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import Tree
-from ptnsbc_sim.scenario.reading.loading import completed
 from ptnsbc_sim.sweep.family import (
     Family,
     FamilyDeadline,
@@ -81,8 +82,7 @@ def _places(kind: str, size: int, spacing: float, rng: np.random.Generator) -> A
     """Places (N, 3) [m] relative to the leader, which is the first."""
     if kind == "random":
         return _random_places(size, spacing, rng)
-    make = {"v": v_places, "line": column_places, "grid": grid_places, "circle": circle_places}
-    return make[kind](size, spacing)
+    return SHAPES[kind](size, spacing)
 
 
 def _path(path: FamilyPath, rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -163,7 +163,7 @@ def _deadline_s(
     block: FamilyDeadline,
     starts: Array,
     goals: Array,
-    gains: dict[str, Any],
+    limits: Filter,
     rng: np.random.Generator,
 ) -> float:
     if block.seconds is not None:
@@ -171,9 +171,7 @@ def _deadline_s(
     assert block.of_feasible is not None
     own = starts - starts[0] - (goals - goals[0])
     errors = [float(np.linalg.norm(starts[0] - goals[0])), *np.linalg.norm(own, axis=1).tolist()]
-    limits = gains["filter"]
-    speed, acceleration = limits["max_speed_m_s"], limits["max_acceleration_m_s2"]
-    shortest = feasible_deadline(max(errors), speed, acceleration)
+    shortest = feasible_deadline(max(errors), limits.max_speed_m_s, limits.max_acceleration_m_s2)
     return max(_number(block.of_feasible, rng) * shortest, block.at_least_s)
 
 
@@ -191,12 +189,15 @@ def _network(parents: dict[int, int], size: int) -> dict[str, Any]:
     return {"tree": parents, "leader_links": followers, "estimator_edges": edges, "links": []}
 
 
-def draw_family(family: Family, tree: Tree, generator: Generator) -> dict[str, Any]:
-    """Draw a scenario of the family into the base scenario `tree`, in place.
+def draw_family(
+    family: Family, base: ScenarioFile, tree: Tree, generator: Generator
+) -> dict[str, Any]:
+    """Draw a scenario of the family into the text of the base scenario.
 
     Args:
         family: what to draw from.
-        tree: the base scenario, after `extends`.
+        base: the base scenario.
+        tree: the keys of its text, which are changed in place.
         generator: the random numbers of one quantity by its name: none depends on what else is drawn.
 
     Returns:
@@ -211,12 +212,11 @@ def draw_family(family: Family, tree: Tree, generator: Generator) -> dict[str, A
     offsets = _places(shape, size, spacing, rng)
     trajectory, values = _path(family.path, generator("family path"))
     goals = np.array([0.0, 0.0, _HEIGHT_M]) + offsets
-    gains = completed(tree)["gains"]
-    margin_m = float(gains["clearance"]["margin_m"])
+    margin_m = float(base.gains.clearance.margin_m)
     world = dict(tree.get("world") or {})
     world["obstacles"] = []
     tree["world"] = world
-    spheres = spheres_of(tree, margin_m)
+    spheres = spheres_of(base, ())
     apart = replace(spheres, apart_m=max(spheres.apart_m, family.starts.apart_m))
     starts = _starts(family.starts, goals, apart, generator("family starts"))
     places = np.array(starts)
@@ -229,6 +229,7 @@ def draw_family(family: Family, tree: Tree, generator: Generator) -> dict[str, A
     tree["leader"] = {"id": 1, "trajectory": trajectory}
     followers = {uav + 1: offsets[uav].tolist() for uav in range(1, size)}
     tree["formation"] = {**tree["formation"], "offsets_m": followers}
+    tree["formation"].pop("shape", None)
     for key, value in (("task", family.task), ("assignment", family.assignment)):
         if value is not None:
             tree["formation"][key] = value
@@ -239,17 +240,22 @@ def draw_family(family: Family, tree: Tree, generator: Generator) -> dict[str, A
         "spacing_m": spacing,
         "obstacles": len(world["obstacles"]),
     }
-    values |= _draw_deadline(family, tree, places, goals, generator("family deadline"))
+    values |= _draw_deadline(family, base, tree, places, goals, generator("family deadline"))
     values |= _draw_surroundings(family, tree, generator)
     return values
 
 
 def _draw_deadline(
-    family: Family, tree: Tree, starts: Array, goals: Array, rng: np.random.Generator
+    family: Family,
+    base: ScenarioFile,
+    tree: Tree,
+    starts: Array,
+    goals: Array,
+    rng: np.random.Generator,
 ) -> dict[str, Any]:
     if family.deadline is None:
         return {}
-    deadline_s = _deadline_s(family.deadline, starts, goals, completed(tree)["gains"], rng)
+    deadline_s = _deadline_s(family.deadline, starts, goals, base.gains.filter, rng)
     formation = {**tree["gains"].get("formation", {}), "deadline_s": deadline_s}
     tree["gains"] = {**tree["gains"], "formation": formation}
     tree["timing"] = {**tree["timing"], "duration_s": deadline_s + family.deadline.after_s}

@@ -13,7 +13,7 @@ import pickle
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +39,6 @@ from ptnsbc_sim.sweep.starts import (
     Starts,
     drawn_places,
     spheres_of,
-    with_starts,
 )
 
 FORMAT = 1
@@ -183,31 +182,30 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     tree: Tree = pickle.loads(_base(plan.scenario, plan.source))
     values: dict[str, Value] = {}
     if plan.family:
-        values |= draw_family(_family(plan.family), tree, lambda name: generator(plan, k, name))
+        base = _base_scenario(plan.scenario, plan.source)
+        numbers = partial(generator, plan, k)
+        values |= draw_family(_family(plan.family), base, tree, numbers)
     axes = _axis_values(plan, k)
     tree = reader.with_keys(tree, axes, plan.source)
     values |= {key: _plain(value) for key, value in axes.items()}
-    if plan.starts.kind != FILE:
-        with_starts(tree, plan.starts, _margin_m(tree), generator(plan, k, "starts"))
     if "seed" not in axes:
         tree["seed"] = _seed(plan, k)
-    _stop(tree, plan.stop_after_s)
+    if plan.starts.kind == FILE and plan.stop_after_s is None:
+        return tree, values
+    file = _validated(tree, _source(plan, k))
+    if plan.starts.kind != FILE:
+        given = [uav.position_m for uav in file.uavs]
+        spheres = spheres_of(file, file.world.bodies)
+        places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
+        for uav, place in zip(tree["uavs"], places, strict=True):
+            uav["position_m"] = place.tolist()
+    if plan.stop_after_s is not None:
+        tree["timing"]["duration_s"] = min(file.timing.duration_s, float(plan.stop_after_s))
     return tree, values
-
-
-def _margin_m(tree: Tree) -> float:
-    return float(completed(tree)["gains"]["clearance"]["margin_m"])
 
 
 def _seed(plan: SweepPlan, k: int) -> int:
     return int(generator(plan, k, "seed").integers(2**32))
-
-
-def _stop(tree: Tree, after_s: float | None) -> None:
-    """Have the flight of a tree end at this time, or when it would end anyway."""
-    if after_s is not None:
-        timing = tree["timing"]
-        timing["duration_s"] = min(float(timing["duration_s"]), float(after_s))
 
 
 def _plain(value: Any) -> Value:
@@ -239,16 +237,21 @@ def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Valu
         if found is not None:
             return found, {}
     tree, values = _drawn(plan, k)
-    return _validated(tree, _source(plan, k)), values
+    source = _source(plan, k)
+    return scenario_of(_validated(tree, source), "", source), values
 
 
-def _validated(tree: Tree, source: str) -> Scenario:
+def _validated(tree: Tree, source: str) -> ScenarioFile:
     full = completed(tree, source)
     try:
-        file = ScenarioFile.model_validate(full)
+        return ScenarioFile.model_validate(full)
     except ValidationError as error:
         raise scenario_error(source, error, full) from None
-    return scenario_of(file, "", source)
+
+
+@lru_cache(maxsize=4)
+def _base_scenario(text: str, source: str) -> Scenario:
+    return scenario_from_text(text, source=source)
 
 
 class _Common(NamedTuple):
@@ -260,9 +263,13 @@ class _Common(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _common(text: str, source: str, stop_after_s: float | None) -> _Common:
-    tree: Tree = pickle.loads(_base(text, source))
-    _stop(tree, stop_after_s)
-    return _Common(_validated(tree, source), spheres_of(tree, _margin_m(tree)))
+    scenario = scenario_from_text(text, source=source)
+    if stop_after_s is not None:
+        stop_s = min(scenario.timing.duration_s, float(stop_after_s))
+        scenario = scenario_from_text(text, {"timing.duration_s": stop_s}, source=source)
+    return _Common(
+        scenario.model_copy(update={"text": ""}), spheres_of(scenario, scenario.world.bodies)
+    )
 
 
 def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
+from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.sweep.axes import SweepError
 
 FILE, NEAR, BOX = "file", "near", "box"
@@ -93,34 +93,16 @@ def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
     return all(body.distances(*at)[0] >= least for body, least in spheres.bodies)
 
 
-def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
-    """The distances that the starts of a scenario tree must keep."""
-    blocks = (tree.get("world") or {}).get("obstacles") or []
-    given = [ObstacleBlock.model_validate(block) for block in blocks]
-    every = [Obstacle(body) for block in given for body in bodies(block)]
-    spheres = [one for one in every if one.kind == "sphere"]
+def spheres_of(file: ScenarioFile, bodies: Sequence[Obstacle]) -> Spheres:
+    """The distances that the starts of a scenario must keep, with these bodies in its world."""
+    margin_m = float(file.gains.clearance.margin_m)
+    spheres = [body for body in bodies if body.kind == "sphere"]
     return Spheres(
-        np.array([one.position for one in spheres], dtype=np.float64).reshape(-1, 3),
-        np.array([one.keep_out_m + margin_m for one in spheres], dtype=np.float64),
-        max([float(tree["formation"]["uav_keep_out_m"]), *_own_keep_outs(tree)]) + margin_m,
-        tuple((one, one.keep_out_m + margin_m) for one in every if one.kind != "sphere"),
+        np.array([body.position for body in spheres], dtype=np.float64).reshape(-1, 3),
+        np.array([body.keep_out_m + margin_m for body in spheres], dtype=np.float64),
+        max(file.formation.uav_keep_out_m, *map(file.keep_out_m, file.uav_ids)) + margin_m,
+        tuple((body, body.keep_out_m + margin_m) for body in bodies if body.kind != "sphere"),
     )
-
-
-def _own_keep_outs(tree: dict[Any, Any]) -> list[float]:
-    return [float(uav["keep_out_m"]) for uav in tree["uavs"] if uav.get("keep_out_m") is not None]
-
-
-def with_starts(
-    tree: dict[Any, Any], starts: Starts, margin_m: float, rng: np.random.Generator
-) -> None:
-    """Draw the starts of a scenario tree, in place."""
-    if starts.kind == FILE:
-        return
-    given = [uav["position_m"] for uav in tree["uavs"]]
-    places = drawn_places(given, starts, spheres_of(tree, margin_m), rng)
-    for uav, place in zip(tree["uavs"], places, strict=True):
-        uav["position_m"] = place.tolist()
 
 
 def drawn_places(

@@ -12,7 +12,9 @@ from ptnsbc_tools.options import JsonOption, argument, option
 
 def new(
     file: Annotated[Path, argument("NAME", "Name of the scenario, or its file: NAME.yaml.")],
-    shape: Annotated[str, option("--shape SHAPE", "v, line, column, circle or grid.")] = "v",
+    shape: Annotated[
+        str, option("--shape SHAPE", "v, line, column, grid, circle or sphere.")
+    ] = "v",
     n: Annotated[int, option("--n -n N", "UAVs with the leader.", 2, 254)] = 5,
     spacing: Annotated[float, option("--spacing M", "Distance of neighbours.", 1.0)] = 2.0,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,

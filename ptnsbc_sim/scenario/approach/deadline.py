@@ -110,7 +110,8 @@ def _slots_at_start(file: ScenarioFile) -> dict[int, int]:
     if file.formation.assignment == "fixed":
         return dict(zip(ids, ids, strict=True))
     places = np.stack(list(_offsets_at(file, 0.0).values()))
-    order = nearest_places(np.array([uav.position_m for uav in file.uavs]), places)
+    starts = np.array([uav.position_m for uav in file.uavs])
+    order = nearest_places(starts, places, centred=True)
     return {uav: ids[row] for uav, row in zip(ids, order, strict=True)}
 
 

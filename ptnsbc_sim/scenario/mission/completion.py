@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from ptnsbc_core.errors import FormationError
@@ -24,6 +23,7 @@ from ptnsbc_sim.scenario.mission.shapes import (
     ShapeBlock,
     changed,
     named_places,
+    nearest_places,
 )
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -114,7 +114,7 @@ def _risen(tree: Tree, source: str) -> Tree:
         return tree
     if formation.get("assignment") == "optimal" and ids:
         now, then = (np.array([of[uav] for uav in ids]) for of in (offsets, places))
-        order = _nearest(now, then)
+        order = nearest_places(now, then)
         places = {uav: then[row] for uav, row in zip(ids, order, strict=True)}
     form = {
         **{key: value for key, value in form.items() if key != "shape"},
@@ -277,21 +277,11 @@ def _filled(
                 return None
             held = np.array([change.offsets_m[uav] for uav in ids])
         if change.shape is not None:
-            held = held[_nearest(now, changed(change, held))]
+            held = held[nearest_places(now, changed(change, held))]
             whole = {**whole, "offsets_m": dict(zip(ids, held.tolist(), strict=True))}
         now = changed(change, held)
         filled[where] = whole
     return filled
-
-
-def _nearest(now: Array, places: Array) -> NDArray[np.int64]:
-    from scipy.optimize import linear_sum_assignment  # late: half a second
-
-    with np.errstate(over="ignore"):
-        costs = np.sum((now[:, None] - places[None]) ** 2, axis=2)
-    if not np.isfinite(costs).all():  # places beyond all measure: none is nearer than another one
-        return np.arange(len(now), dtype=np.int64)
-    return np.asarray(linear_sum_assignment(costs)[1], dtype=np.int64)
 
 
 def _without_auto(tree: Tree) -> Tree:

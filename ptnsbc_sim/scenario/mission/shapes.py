@@ -75,26 +75,30 @@ class Change(Reshaping):
     """Begin, after the first epoch."""
 
 
-def v_places(size: int, spacing: float) -> Array:
-    """Places (N, 3) [m] of a wedge, the leader at its tip."""
-    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
-    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+def _v(size: int, spacing: float) -> Array:
+    """A wedge, the leader at its tip."""
+    rows, sides = _arms(size)
     return spacing * np.stack([-0.8 * rows, 0.6 * sides * rows, 0.0 * rows], axis=1)
 
 
-def line_places(size: int, spacing: float) -> Array:
+def _line(size: int, spacing: float) -> Array:
     """Side by side, left and right of the leader in turn."""
-    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
-    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+    rows, sides = _arms(size)
     return spacing * np.stack([0.0 * rows, sides * rows, 0.0 * rows], axis=1)
 
 
-def column_places(size: int, spacing: float) -> Array:
+def _arms(size: int) -> tuple[Array, Array]:
+    """How many places from the leader every UAV is, and on which side: 1 left, -1 right."""
+    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
+    return rows, np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+
+
+def _column(size: int, spacing: float) -> Array:
     """One behind the other."""
     return np.array([[-spacing * uav, 0.0, 0.0] for uav in range(size)])
 
 
-def grid_places(size: int, spacing: float) -> Array:
+def _grid(size: int, spacing: float) -> Array:
     """Rows behind the leader, which has a corner."""
     columns = math.ceil(math.sqrt(size))
     return np.array(
@@ -102,7 +106,7 @@ def grid_places(size: int, spacing: float) -> Array:
     )
 
 
-def circle_places(size: int, spacing: float) -> Array:
+def _circle(size: int, spacing: float) -> Array:
     """The leader in the middle, the followers around it."""
     followers = max(size - 1, 1)
     radius = max(
@@ -113,7 +117,7 @@ def circle_places(size: int, spacing: float) -> Array:
     return np.concatenate([np.zeros((1, 3)), ring])[:size]
 
 
-def sphere_places(size: int, spacing: float) -> Array:
+def _sphere(size: int, spacing: float) -> Array:
     """The leader in the middle, the followers on a sphere, by the golden angle."""
     followers = max(size - 1, 1)
     heights = 1.0 - 2.0 * (np.arange(followers) + 0.5) / followers
@@ -125,14 +129,17 @@ def sphere_places(size: int, spacing: float) -> Array:
     return np.concatenate([np.zeros((1, 3)), ball])[:size]
 
 
-_PLACES: Mapping[str, Callable[[int, float], Array]] = {
-    "v": v_places,
-    "line": line_places,
-    "column": column_places,
-    "grid": grid_places,
-    "circle": circle_places,
-    "sphere": sphere_places,
+SHAPES: Mapping[str, Callable[[int, float], Array]] = {
+    "v": _v,
+    "line": _line,
+    "column": _column,
+    "grid": _grid,
+    "circle": _circle,
+    "sphere": _sphere,
 }
+"""The shapes: places (N, 3) [m] of N UAVs beside the leader, which is the first, by their spacing [m]. Ahead is x.
+
+The key `shape`, families and `ptnsbc new` take them from here."""
 
 
 def named_places(block: ShapeBlock, size: int) -> Array:
@@ -145,7 +152,7 @@ def named_places(block: ShapeBlock, size: int) -> Array:
         return _places_of(block.samples, size)
     if block.spacing_m is None:
         raise ValueError("spacing_m: missing: expected a number in m")
-    return _PLACES[block.kind](size, block.spacing_m)
+    return SHAPES[block.kind](size, block.spacing_m)
 
 
 def _places_of(text: str | None, size: int) -> Array:
@@ -358,24 +365,28 @@ def conditions(before: int, after: int) -> Array:
     return np.array([[power.deriv(k)(s) if k else power(s) for power in powers] for s, k in ends])
 
 
-def nearest_places(starts: Array, places: Array) -> NDArray[np.int64]:
+def nearest_places(starts: Array, places: Array, *, centred: bool = False) -> NDArray[np.int64]:
     """The place of each start for which the sum of the squared distances is minimal.
 
-    Where the places lie as a whole does not matter: a shift of all of them adds the same to every sum. The same
-    numbers give the same answer, also where several sums are equal.
+    The same numbers give the same answer, also where several sums are equal.
 
     Args:
         starts: (N, 3) [m].
         places: (N, 3) [m].
+        centred: compare starts and places from the centre of each: where the places lie as a whole adds the same to
+            every sum.
 
     Returns:
         Row of `places` (N,) for each row of `starts`.
     """
     from scipy.optimize import (
-        linear_sum_assignment,
-    )  # late: half a second, and few processes decide
+        linear_sum_assignment,  # late: half a second, and few processes decide
+    )
 
-    starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
-    costs = np.sum((starts[:, None] - places[None]) ** 2, axis=2)
-    found: NDArray[np.int64] = linear_sum_assignment(costs)[1]
-    return found
+    if centred:
+        starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
+    with np.errstate(over="ignore"):
+        costs = np.sum((starts[:, None] - places[None]) ** 2, axis=2)
+    if not np.isfinite(costs).all():  # places beyond all measure: none is nearer than another one
+        return np.arange(len(starts), dtype=np.int64)
+    return np.asarray(linear_sum_assignment(costs)[1], dtype=np.int64)

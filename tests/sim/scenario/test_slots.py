@@ -32,7 +32,7 @@ SWAPPED = {1: 3, 2: 5, 3: 4, 4: 1, 5: 2}
 
 def assigned(starts: np.ndarray, places: np.ndarray) -> np.ndarray:
     """The places (N, 3) in the order of the starts from which they are taken."""
-    return places[nearest_places(starts, places)]
+    return places[nearest_places(starts, places, centred=True)]
 
 
 @lru_cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, drawn_values, parse_axis, parse_starts
 from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
+from ptnsbc_sim.sweep.starts import Starts
 
 BASE = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
 KAPPA = "gains.formation.kappa_1_s"
@@ -171,3 +173,35 @@ def test_wrong_keys_and_draws_are_named() -> None:
         plan_with(2, f"{KAPPA}=1:3", f"{KAPPA}=1,2")
     with pytest.raises(SweepError, match="draw 2: expected 0 to 1"):
         draw(plan_with(2), 2)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        {"starts": Starts("near", (0.02,))},
+        {"stop_after_s": 9.0},
+        {"family": "{name: few, size: 3, deadline: {of_feasible: 2}, obstacles: {count: 1}}"},
+        {"axes": (parse_axis("gains.formation.kappa_1_s=2:3"),), "starts": Starts("near", (0.02,))},
+    ],
+)
+def test_numbers_with_their_units_are_drawn_as_any_others(rest: dict[str, Any]) -> None:
+    """What a draw needs of its base is read from the scenario, never from its text."""
+    with_units = {
+        "timing.duration_s": "12 s",
+        "formation.uav_keep_out_m": "0.5 m",
+        "gains.clearance.margin_m": "0.05 m",
+        "gains.filter.max_speed_m_s": "8 m/s",
+        "uavs[0].position_m": ["0 m", "1 m", "1 m"],
+        "uavs[1].keep_out_m": "0.4 m",
+    }
+    numbers = {
+        key: [0, 1, 1] if isinstance(value, list) else float(value.split()[0])
+        for key, value in with_units.items()
+    }
+    drawn, same = (
+        drawn_scenario(SweepPlan(load_scenario("paper_5", keys).text, 1, **rest), 0)[0]
+        for keys in (with_units, numbers)
+    )
+    assert drawn == same
+    text = draw(SweepPlan(load_scenario("paper_5", with_units).text, 1, **rest), 0)
+    assert text == drawn

@@ -6,20 +6,42 @@ import math
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ptnsbc
 from ptnsbc_sim.scenario import scenario_from_text
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
+from ptnsbc_sim.scenario.reading.reader import parse
+from ptnsbc_sim.sweep.family_draw import _places
+from ptnsbc_sim.sweep.plan import SweepPlan, drawn_scenario
 from ptnsbc_tools.library.flying import check
-from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, places, text_of
+from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, text_of
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("n", [2, 3, 8, 21])
-def test_neighbours_are_as_far_apart_as_asked(shape: str, n: int) -> None:
-    at = [(0.0, 0.0, 0.0), *places(shape, n, 2.0).values()]
-    assert len(at) == n
-    assert min(math.dist(a, b) for a, b in combinations(at, 2)) == pytest.approx(2.0, abs=0.02)
+def test_a_shape_has_the_same_places_wherever_it_is_named(shape: str) -> None:
+    """`ptnsbc new --shape`, the key `formation.shape` and families, for 2 to 30 UAVs."""
+    for n in range(2, 31):
+        written = ShapeBlock.model_validate(
+            parse(text_of("mine", shape, n), "mine")["formation"]["shape"]
+        )
+        places = named_places(ShapeBlock(kind=shape, spacing_m=2.0), n)
+        least = min(math.dist(a, b) for a, b in combinations(places, 2))
+        assert least == pytest.approx(2.0, abs=1e-9)
+        assert named_places(written, n).tolist() == places.tolist()
+        assert _places(shape, n, 2.0, np.random.default_rng()).tolist() == places.tolist()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_shape_is_flown_in_the_same_places(shape: str) -> None:
+    n, block = 6, {"kind": shape, "spacing_m": 2}
+    made = scenario_from_text(text_of("mine", shape, n))
+    key = scenario_from_text(text_of("mine", "grid", n)).with_({"formation.shape": block})
+    family = f"{{name: of_one, size: {n}, shape: {{kinds: [{shape}], spacing_m: 2}}}}"
+    drawn, _ = drawn_scenario(SweepPlan(made.text, 1, family=family), 0)
+    for other in (key, drawn):
+        assert other.formation.offsets_m == made.formation.offsets_m
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -46,7 +68,7 @@ def test_the_file_flies() -> None:
 )
 def test_what_cannot_be_made_is_refused(shape: str, n: int, spacing: float, match: str) -> None:
     with pytest.raises(NewScenarioError, match=match):
-        places(shape, n, spacing)
+        text_of("mine", shape, n, spacing)
 
 
 def test_a_file_gives_its_name() -> None:
