@@ -110,7 +110,7 @@ ANSWERS = (
         (
             f"{_UAV}test_uav_topics.py::test_a_broken_state_of_a_neighbour_is_dropped_and_named",
             "tests/nodes/sim/test_sim_node.py::test_no_message_ends_the_sim",
-            "tests/nodes/fleet/test_coordinator_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
+            "tests/nodes/fleet/test_fleet_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
             "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does",
         ),
     ),

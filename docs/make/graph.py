@@ -23,7 +23,8 @@ from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import recorded
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.fault_injector import hear_faults
+from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
 from ptnsbc_nodes.recording.recorder import BagRecorder, topic_info
 from ptnsbc_nodes.runtime.environment import free_domain
@@ -114,10 +115,9 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
         stack.enter_context(_recorder(node("recorder"), scenario, options))
         for leads in (True, False):
             name = "fleet" if leads else "fleet_elsewhere"
-            coordinator = stack.enter_context(Coordinator(domain, name))
-            coordinator.share(leads=leads)
-            coordinator.listen_for_faults(scenario.uav_ids, lambda _: None)
-            made.append(("launcher", 0, coordinator._node))
+            launcher = stack.enter_context(LauncherNode(domain, name, shared=True, leads=leads))
+            hear_faults(launcher, scenario.uav_ids, lambda _: None)
+            made.append(("launcher", 0, launcher.node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader.id)
 

@@ -7,13 +7,18 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.runtime.launcher import REPORT, Reports
 from ptnsbc_nodes.runtime.signals import signals_blocked
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 
 _TAIL_LINES = 12
 _USER_ERROR = 2  # the exit code of a process that ended with a message to the user
@@ -128,6 +133,11 @@ class ChildProcess:
         self._read += len(whole) + len(newline)
         return whole.decode(errors="replace").splitlines()
 
+    @property
+    def log_size(self) -> int:
+        """The size of its log [bytes]."""
+        return self.log.stat().st_size
+
     def log_lines(self) -> list[str]:
         """All lines of its log so far."""
         return self.log.read_text(errors="replace").splitlines()
@@ -148,6 +158,47 @@ class ChildProcess:
         if code is not None and code < 0:
             how = f"signal {signal.Signals(-code).name}"
         return f"{self.name} (pid {self.pid}) has ended: {how}, {self.log}\n{self.tail()}"
+
+
+class Crew:
+    """The processes of one launcher, in the order of their start.
+
+    Args:
+        settings: environment of the processes.
+        log_dir: folder of their logs.
+        lifecycle: takes their nodes to active.
+    """
+
+    def __init__(
+        self, settings: Mapping[str, str], log_dir: Path, lifecycle: LifecycleManager
+    ) -> None:
+        self.children: list[ChildProcess] = []
+        self._settings, self._log_dir, self._lifecycle = settings, log_dir, lifecycle
+
+    def start(self, command: ProcessCommand) -> None:
+        """Start a process, and take its node to active if the launcher drives its life cycle."""
+        self.children.append(self._launch(command))
+
+    def start_again(self, child: ChildProcess) -> None:
+        """Start a process that has ended once more, in its place."""
+        command = child.command
+        if child.name == RECORDER:  # the bag that is there is its own, and empty
+            command = replace(command, arguments=(*command.arguments, "--overwrite"))
+        self.children[self.children.index(child)] = self._launch(command)
+
+    def pass_on_lines(self, progress: Callable[[str], None]) -> None:
+        """Pass on what the sim and the bridges say of the flight."""
+        for child in self.children:
+            if child.command.ends:
+                for line in child.new_lines():
+                    if line.startswith(f"{child.name}: "):
+                        progress(line)
+
+    def _launch(self, command: ProcessCommand) -> ChildProcess:
+        child = ChildProcess(command, self._settings, self._log_dir)
+        if command.managed:
+            self._lifecycle.manage(command.name, command.managed)
+        return child
 
 
 def end(children: Sequence[ChildProcess], patience_s: float = _PATIENCE_S) -> None:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
-from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-    from ptnsbc_sim.scenario import Scenario
+    from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+    from ptnsbc_nodes.fleet.process_list import FleetOptions
 
 _LOOK_S = 0.05
 _REPORT_S = 5.0
@@ -42,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
-    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_nodes.fleet.fleet_node import LauncherNode
     from ptnsbc_nodes.fleet.process_list import FleetOptions
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.node_process import ros_errors
@@ -59,83 +58,62 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     with StopRequest() as stop:
         with ros_errors():
             domain = environment.named_domain()
-            coordinator = Coordinator(domain, ros_arguments=argv[1:], seal=seal_of(scenario))
-        with coordinator:
-            _fly(coordinator, arguments, options.patience_s, scenario, stop)
+            node = LauncherNode(domain, ros_arguments=argv[1:], seal=seal_of(scenario))
+        with node:
+            if arguments.manage:
+                for i in scenario.uav_ids:
+                    node.lifecycle.manage(f"uav{i}", f"/uav{i}/controller")
+                    if arguments.bridged:
+                        node.lifecycle.manage(f"bridge{i}", f"/uav{i}/bridge")
+            _start(node, options, stop)
+            if arguments.bridged and not stop.came:
+                _fly_and_land(node, options, stop)
     return 0
 
 
-def _fly(
-    coordinator: Coordinator,
-    arguments: argparse.Namespace,
-    patience_s: float,
-    scenario: Scenario,
-    stop: StopRequest,
-) -> None:
-    if arguments.manage:
-        for i in scenario.uav_ids:
-            coordinator.manage(f"uav{i}", f"/uav{i}/controller")
-            if arguments.bridged:
-                coordinator.manage(f"bridge{i}", f"/uav{i}/bridge")
-    uavs = [f"uav{i}" for i in scenario.uav_ids]
-    vehicles = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else ["sim"]
-    by_clock = arguments.bridged and starts_by_clock(scenario.mission)
-    if by_clock:
-        coordinator.listen_for_start()
-    if _start(coordinator, [*uavs, *vehicles], patience_s, stop):
-        _say("started")
-        if arguments.bridged:
-            if by_clock:
-                _hear_begin(coordinator, patience_s, stop)
-            _land(coordinator, coordinator.begins_in_s() + scenario.timing.duration_s, stop)
+def _start(node: LauncherNode, options: FleetOptions, stop: StopRequest) -> None:
+    """Wait until all are ready, and start; return as well when a signal has come."""
+    from ptnsbc_nodes.comm.topics import RECORDER
+    from ptnsbc_nodes.fleet.process_list import names
 
-
-def _start(
-    coordinator: Coordinator, names: Sequence[str], patience_s: float, stop: StopRequest
-) -> bool:
-    """Wait until all are ready, and start; False when a signal came first."""
-    began = time.monotonic()
-    told = began
+    awaited = [name for name in names(options.scenario, options.backend) if name != RECORDER]
+    if options.starts_by_clock and options.backend == "mavlink":
+        node.leader.listen_for_start()
+    began_s = reported_s = time.monotonic()
     refusal: str | None = "/formation/start was not called"
     while not stop.came:
-        coordinator.spin(_LOOK_S)
-        waiting = coordinator.missing(names)
+        node.spin(_LOOK_S)
+        waiting = node.status.missing(awaited)
         if not waiting:
-            refusal = coordinator.start(patience_s=2.0)
+            refusal = node.leader.start(patience_s=2.0)
             if refusal is None:
-                return True
+                node.status.mute()
+                _say("started")
+                return
         lines = [f"{name} waits for {what}" for name, what in waiting.items()] or [str(refusal)]
-        if coordinator.refused:
-            raise CoordinatorError(f"{', '.join(coordinator.refused)} refused to be activated")
-        if time.monotonic() - began > patience_s:
+        if node.lifecycle.refused:
+            raise CoordinatorError(f"{', '.join(node.lifecycle.refused)} refused to be activated")
+        if time.monotonic() - began_s > options.patience_s:
             raise CoordinatorError(f"not ready in time: {'; '.join(lines)}")
-        if time.monotonic() - told > _REPORT_S:
-            told = time.monotonic()
+        if time.monotonic() - reported_s > _REPORT_S:
+            reported_s = time.monotonic()
             _say("; ".join(lines))
-    return False
 
 
-def _hear_begin(coordinator: Coordinator, patience_s: float, stop: StopRequest) -> None:
-    over_s = time.monotonic() + patience_s
-    while not (coordinator.begun or stop.came):
-        coordinator.spin(_LOOK_S)
+def _fly_and_land(node: LauncherNode, options: FleetOptions, stop: StopRequest) -> None:
+    """Land real vehicles when the time is over; at a signal their bridges land them without being told."""
+    from ptnsbc_nodes.fleet.supervisor import call_down
+
+    over_s = time.monotonic() + options.patience_s
+    while options.starts_by_clock and not (node.leader.begun or stop.came):
+        node.spin(_LOOK_S)
         if time.monotonic() > over_s:
             raise CoordinatorError("the leader does not tell when the mission begins")
-
-
-def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> None:
-    """Land real vehicles when the time is over; at a signal their bridges land them without being told."""
-    from ptnsbc_nodes.fleet.emergency_stop import order_landing
-
-    over_s = time.monotonic() + duration_s
+    over_s = time.monotonic() + node.leader.begins_in_s() + options.scenario.timing.duration_s
     while not stop.came and time.monotonic() < over_s:
-        coordinator.spin(_LOOK_S)
+        node.spin(_LOOK_S)
     if not stop.came:
-        refusal = coordinator.call("land", patience_s=3.0)
-        if refusal is not None:
-            _say(f"{refusal}: every bridge is told to land by itself")
-            for line in order_landing(coordinator):
-                _say(line)
+        call_down(node, "land", _say)
 
 
 def _say(line: str) -> None:

@@ -1,5 +1,7 @@
 """Faults of processes, carried out by the launcher that has started them: signals by pid, and a full disk.
 
+An operator announces a fault to a fleet in flight, and each process of the fleet hears of it.
+
 In real time the times of a scenario count from the start of the mission. In lock-step the launcher has no mission time:
 a UAV carries out its own `kill` there (`ptnsbc_nodes.uav.uav_faults`), and nothing else of the scenario is injected.
 """
@@ -9,15 +11,19 @@ from __future__ import annotations
 import resource
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.child_process import ChildProcess
+from ptnsbc_nodes.fleet.fleet_node import FleetNode
 from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_sim.scenario.mission.faults import PROCESS, RECORDER, FaultBlock
 
 _KILLED_S = 5.0
+_LISTENERS_S = 2.0  # without a further listener to faults: all are discovered
 _SMALLEST_FULL_DISK = 1 << 16  # [bytes]; the log of the recorder must still fit
 
 
@@ -125,3 +131,29 @@ def _size(path: Path) -> int:
     with suppress(OSError):
         return path.stat().st_size
     return 0
+
+
+def hear_faults(node: FleetNode, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
+    """Hear of the faults that an operator announces to a fleet of these UAVs."""
+    node.attach(
+        lambda: node.endpoints.listen(
+            topics.FAULT, fault_decoder(uavs), lambda order: take(order.fault), required=False
+        )
+    )
+
+
+def announce_fault(node: FleetNode, fault: FaultBlock, patience_s: float) -> int:
+    """Tell a running fleet of a fault, once; returns how many processes listened, after at most this time."""
+    publish = node.endpoints.publisher(topics.FAULT, 1)
+    count = node.endpoints.readers(topics.FAULT)
+    deadline = time.monotonic() + patience_s
+    listeners = count()
+    while time.monotonic() < deadline:
+        node.spin(_LISTENERS_S)
+        if listeners and count() == listeners:  # no further one has been discovered for a while
+            break
+        listeners = count()
+    if listeners:
+        publish(encode_fault(time.time_ns(), fault))
+        node.endpoints.flush(patience_s)
+    return listeners

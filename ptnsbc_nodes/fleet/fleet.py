@@ -21,10 +21,12 @@ from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
-from ptnsbc_nodes.fleet.child_process import ChildProcess
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, groups, names
-from ptnsbc_nodes.fleet.supervisor import BRIDGE, FleetError, Report, Supervisor
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
+from ptnsbc_nodes.fleet.fault_injector import FaultInjector, hear_faults
+from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+from ptnsbc_nodes.fleet.process_list import BRIDGE, FleetOptions, chosen, commands, groups, names
+from ptnsbc_nodes.fleet.supervisor import Supervisor
+from ptnsbc_nodes.fleet.takeoff import FleetError, Report, TakeOff
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -38,6 +40,7 @@ from ptnsbc_sim.scenario.mission.faults import PROCESS
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
 
 _DIED, _INTERRUPTED = 1, 130
+_EPOCH_S = 0.5  # from the call of the leader to the epoch
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,9 @@ class FleetResult:
     killed: tuple[str, ...]  # processes of UAVs that ended by a fault of the scenario
     interrupted: bool  # by SIGINT or SIGTERM
     bag: Path | None
-    recorded: Mapping[str, Any]  # the recorder's own summary
+    recorded: Mapping[
+        str, Any
+    ]  # the recorder's own summary; empty when it was killed before it had one
     startup_s: float  # wall time
     flight_s: float  # wall time
 
@@ -86,77 +91,74 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     if secured:
         os.environ.update(enforced(os.environ))
         os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
-    seal = seal_of(options.scenario)
-    log_dir, scenario_file = _log_folder(options)
+    log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
+    log_dir.mkdir(parents=True, exist_ok=True)
+    scenario_file = log_dir / "scenario.yaml"
+    scenario_file.write_text(options.scenario.text, encoding="utf-8")
     _prepare_kernels(options, progress)
     processes = commands(options, scenario_file)
+    # With this launcher. Where other computers fly the rest, there is a launcher for each process at most.
+    count = (
+        2 * len(names(options.scenario, options.backend)) if options.shared else len(processes) + 1
+    )
     with StopRequest() as stop, reserved_domain() as domain, ExitStack() as stack:
-        count = _most_participants(options, len(processes))
         settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
         stack.enter_context(_listed(options, domain, progress))
         if options.beside is not None:
             of_operator = {ENCLAVE: f"{options.namespace}/{OPERATOR}"} if secured else {}
             stack.enter_context(options.beside({**settings, **of_operator}, scenario_file))
-        # Launchers on other computers have other names.
-        name = "fleet" if options.leads else f"fleet_{min(options.only)}"
-        identity = ("--ros-args", "--enclave", f"{options.namespace}/{FLEET}") if secured else ()
-        with Coordinator(domain, name, options.namespace, identity, seal) as coordinator:
-            supervisor = Supervisor(options, coordinator, stop, progress)
-            began = time.monotonic()
-            try:
-                supervisor.start(processes, settings, log_dir, began + options.patience_s)
-                took_off = time.monotonic()
-                supervisor.watch(options.scenario.timing.duration_s)
-                landed = time.monotonic()
-            finally:
-                supervisor.end()
-    return _result(
-        options.scenario,
-        supervisor,
-        interrupted=stop.came,
-        bag=options.bag,
-        startup_s=took_off - began,
-        flight_s=landed - took_off,
-    )
+        node = stack.enter_context(
+            LauncherNode(
+                domain,
+                # Launchers on other computers have other names.
+                "fleet" if options.leads else f"fleet_{min(options.only)}",
+                options.namespace,
+                ("--ros-args", "--enclave", f"{options.namespace}/{FLEET}") if secured else (),
+                seal_of(options.scenario),
+                shared=options.shared,
+                leads=options.leads,
+            )
+        )
+        return _fly(
+            options, processes, Crew(settings, log_dir, node.lifecycle), node, stop, progress
+        )
 
 
-def _log_folder(options: FleetOptions) -> tuple[Path, Path]:
-    """The folder for the logs, and the scenario in it that all processes read."""
-    log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
-    log_dir.mkdir(parents=True, exist_ok=True)
-    scenario_file = log_dir / "scenario.yaml"
-    scenario_file.write_text(options.scenario.text, encoding="utf-8")
-    return log_dir, scenario_file
-
-
-def _most_participants(options: FleetOptions, processes: int) -> int:
-    """The most processes that join the domain, this launcher included."""
-    # A launcher for each process at most, where other computers fly the rest.
-    everywhere = 2 * len(names(options.scenario, options.backend))
-    return everywhere if options.shared else processes + 1
-
-
-def _result(
-    scenario: Scenario,
-    supervisor: Supervisor,
-    *,
-    interrupted: bool,
-    bag: Path | None,
-    startup_s: float,
-    flight_s: float,
+def _fly(
+    options: FleetOptions,
+    processes: Sequence[ProcessCommand],
+    crew: Crew,
+    node: LauncherNode,
+    stop: StopRequest,
+    progress: Report,
 ) -> FleetResult:
-    children, killed = supervisor.children, _killed_by(scenario, supervisor.died)
+    faults = FaultInjector(options, progress, crew.start_again)
+    if options.scenario.faults is not None:
+        hear_faults(node, options.scenario.uav_ids, faults.add)
+    supervisor = Supervisor(options, crew, faults, node, stop, progress)
+    began = time.monotonic()
+    try:
+        TakeOff(options, crew, node, stop, progress).run(processes, began + options.patience_s)
+        took_off = time.monotonic()
+        if options.leads and not stop.came:
+            faults.begin(took_off + (node.leader.begins_in_s() or _EPOCH_S))
+        supervisor.watch(options.scenario.timing.duration_s)
+        landed = time.monotonic()
+    finally:
+        supervisor.end()
+    killed = _killed_by(options.scenario, supervisor.died)
     died = (*(child.name for child in supervisor.died), *supervisor.lost_elsewhere)
+    summaries = [child.reports.summary for child in crew.children if child.name == RECORDER]
     return FleetResult(
-        processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in children),
+        processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in crew.children),
         died=tuple(name for name in died if name not in killed),
         killed=killed,
-        interrupted=interrupted,
-        bag=bag,
-        recorded=_recorded(children),
-        startup_s=startup_s,
-        flight_s=flight_s,
+        interrupted=stop.came,
+        bag=options.bag,
+        recorded=json.loads(summaries[0]) if summaries and summaries[0] else {},
+        startup_s=took_off - began,
+        flight_s=landed - took_off,
     )
 
 
@@ -177,13 +179,6 @@ def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, 
             and one.exit_code == _DIED
         )
     )
-
-
-def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:
-    """The recorder's summary; empty when it was killed before it had one."""
-    summaries = [child.reports.summary for child in children if child.name == RECORDER]
-    found: Mapping[str, Any] = json.loads(summaries[0]) if summaries and summaries[0] else {}
-    return found
 
 
 @contextmanager

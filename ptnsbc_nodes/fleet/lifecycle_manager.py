@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
@@ -56,9 +56,6 @@ class _ManagedTransitions:
                 return
             self._ask()
 
-    def arrived(self) -> None:
-        self._steps.clear()
-
     def close(self) -> None:
         self._node.destroy_client(self._client)
 
@@ -95,27 +92,44 @@ class _ManagedTransitions:
 
 
 class LifecycleManager:
-    """Takes any number of nodes to active; call `look` regularly."""
+    """Takes any number of nodes to active; call `look` regularly.
 
-    def __init__(self, node: Node, held: Collection[str] = ()) -> None:
-        """`held`: names of processes whose nodes stay inactive for as long as they are in there."""
-        self._node, self._held = node, held
-        self._nodes: dict[str, _ManagedTransitions] = {}
+    Attributes:
+        held: names of processes whose nodes stay inactive for as long as they are in there.
+        refused: names of those that refused a transition.
+    """
+
+    def __init__(self, active: set[str]) -> None:
+        """`active`: processes whose diagnostics say that they are active: they get no further request."""
+        self.held: set[str] = set()
         self.refused: list[str] = []
-        """Names of those that refused a transition."""
+        self._active = active
+        self._managed: dict[str, str] = {}  # node by process
+        self._nodes: dict[str, _ManagedTransitions] = {}
 
-    def manage(self, name: str, node: str, *, doubtful: bool = False) -> None:
-        """Take the node with this full name to active, from the beginning.
+    def join(self, node: Node, fleet: str) -> None:
+        """Ask from this node, in a fleet with this namespace; those that are managed may be on their way already."""
+        self._node, self._fleet = node, fleet
+        self._nodes.clear()
+        for name in self._managed:
+            self._begin(name, doubtful=True)
+
+    def manage(self, name: str, node: str) -> None:
+        """Take a node to active, from the beginning and as soon as it is there.
 
         Args:
-            name: Of the process, for `refused`.
-            node: Full name.
-            doubtful: It may be on its way already, so that a refusal has no meaning.
+            name: Of its process, as on /diagnostics.
+            node: Its name below the namespace of the fleet, `/uav3/controller`.
         """
+        self._managed[name] = node
+        self._active.discard(name)
+        self._begin(name, doubtful=False)
+
+    def _begin(self, name: str, *, doubtful: bool) -> None:
         if name in self._nodes:
             self._nodes[name].close()
         self._nodes[name] = _ManagedTransitions(
-            self._node, node, doubtful, lambda: name in self._held
+            self._node, self._fleet + self._managed[name], doubtful, lambda: name in self.held
         )
 
     def asked(self, name: str) -> bool:
@@ -124,15 +138,12 @@ class LifecycleManager:
 
     def look(self) -> None:
         """Continue with all nodes that are not active yet."""
-        for name, one in list(self._nodes.items()):
-            one.look()
-            if one.done:
-                if one.refused:
-                    self.refused.append(name)
-                one.close()
-                del self._nodes[name]
-
-    def arrived(self, name: str) -> None:
-        """The diagnostics of the process say that its node is active: it gets no further request."""
-        if name in self._nodes:
-            self._nodes[name].arrived()
+        for name, transitions in list(self._nodes.items()):
+            if name not in self._active:
+                transitions.look()
+                if not transitions.done:
+                    continue
+            if transitions.refused:
+                self.refused.append(name)
+            transitions.close()
+            del self._nodes[name]

@@ -17,6 +17,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 from ptnsbc_sim.scenario.slots import are_open
 
+BRIDGE = "ptnsbc_nodes.bridge.bridge_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 
 
@@ -56,6 +57,12 @@ class FleetOptions:
     def leads(self) -> bool:
         """True if this computer starts and ends the flight: the one that records it."""
         return not self.only or RECORDER in self.only
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Names of the processes that other computers run."""
+        everywhere = names(self.scenario, self.backend) if self.shared else []
+        return [name for name in everywhere if name not in self.only]
 
     @property
     def recorded(self) -> bool:
@@ -160,14 +167,7 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCo
     if options.allow_arming:
         arguments.append("--allow-arming")
     managed = f"/uav{uav}/bridge"
-    return ProcessCommand(
-        f"bridge{uav}",
-        "ptnsbc_nodes.bridge.bridge_main",
-        tuple(arguments),
-        (uav,),
-        managed,
-        ends=True,
-    )
+    return ProcessCommand(f"bridge{uav}", BRIDGE, tuple(arguments), (uav,), managed, ends=True)
 
 
 def _silences(options: FleetOptions) -> Iterator[str]:

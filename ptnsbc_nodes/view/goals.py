@@ -6,26 +6,20 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from ptnsbc_interfaces.action import FlyLeg, FlyMission
 from ptnsbc_interfaces.msg import FleetState, LegOutcome, UavState
 from rclpy.action.server import ServerGoalHandle
 
 from ptnsbc_nodes.comm.legs import Leg
+from ptnsbc_nodes.fleet.fleet_node import Answer
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_sim.scenario.mission.legs import CANCEL, LandLeg, ScheduledLeg
 
 _SILENT_S = 3.0  # of the leader, which ends a goal
 _LATE_S = 0.5  # of the flight: a state that comes later says nothing of the instant at which a leg was due
-
-
-class Answer(NamedTuple):
-    """Of the leader to a call."""
-
-    accepted: bool
-    message: str
 
 
 class _Goal(ABC):

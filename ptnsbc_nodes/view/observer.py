@@ -1,4 +1,4 @@
-"""The node of a viewer: subscriptions that nobody waits for, and the operator's services on request."""
+"""The node of a viewer: subscriptions that nobody waits for, and the leader's services on request."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
-from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import (
     Diagnostics,
-    HeaderTemplate,
     OdometryDecoder,
     decode_diagnostics,
     decode_header,
@@ -29,7 +24,8 @@ from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.seal import operators_seal, seal_of
-from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
+from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
+from ptnsbc_nodes.runtime.node_process import BoundedSpin
 from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.slots import are_open
@@ -40,7 +36,6 @@ _LOCK = re.compile(r"@ptnsbc-domain-(\d+)$", re.MULTILINE)
 _SOCKETS = Path("/proc/net/unix")
 _CONTROLLER = re.compile(r"(.*)/uav(\d+)")
 _LOOK_S = 0.1
-_REQUEST_S = 1.0
 _ANSWER_S = 3.0
 
 
@@ -80,8 +75,8 @@ def listen_to_vehicles(listen: Callable[..., Any], state: FlightState) -> None:
         listen(topics.odom(uav), OdometryDecoder(), on_odometry, profile=STATE_REALTIME)
 
 
-class Observer:
-    """One rclpy node in a context of its own; use it as a context manager.
+class Observer(FleetNode):
+    """A node that looks at a fleet; use it as a context manager.
 
     Args:
         domain: ROS domain of the fleet.
@@ -90,40 +85,15 @@ class Observer:
     """
 
     def __init__(self, domain: int, namespace: str = "", name: str = "view") -> None:
-        self._context = Context()
-        rclpy.init(
-            args=[],
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self._node = rclpy.create_node(
-            name,
-            namespace=namespace,
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
-        self._executor: Any = make_executor(self._context)
-        self._executor.add_node(self._node)
-        self._spin = BoundedSpin(self._executor)
-        self._domain, self._fleet = domain, namespace
-        self._endpoints: Endpoints | None = None
-        self._request: Callable[[bytes], None] | None = None
+        super().__init__(domain, name, namespace)
+        self._slices = BoundedSpin(self.executor)
+        self._leader: LeaderClient | None = None
         self._state: FlightState | None = None
         self._sees_vehicles = False
 
-    def __enter__(self) -> Observer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
-
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while."""
-        self._spin.serve(seconds)
+        self._slices.serve(seconds)
         if self._state is not None and self._state.started and not self._sees_vehicles:
             self._sees_vehicles = True
             listen_to_vehicles(self._listen, self._state)
@@ -137,42 +107,42 @@ class Observer:
         """
         end = time.monotonic() + patience_s
         while time.monotonic() < end and not stopped():
-            for name, namespace in self._node.get_node_names_and_namespaces():
+            for name, namespace in self.node.get_node_names_and_namespaces():
                 found = _CONTROLLER.fullmatch(namespace)
-                if name == "controller" and found and found[1] == self._fleet:
+                if name == "controller" and found and found[1] == self.endpoints.fleet:
                     values = self._parameters(f"{namespace}/controller", end)
                     if values is not None:
                         return scenario_of(*values)
             self.spin(_LOOK_S)
         raise ViewError(
-            f"domain {self._domain}: no UAV answers: expected a fleet there, or the domain that "
+            f"domain {self.domain}: no UAV answers: expected a fleet there, or the domain that "
             "`ptnsbc fleet` printed: --domain N"
         )
 
     def _parameters(self, node: str, end: float) -> tuple[str, str] | None:
-        client = self._node.create_client(GetParameters, f"{node}/get_parameters")
+        client = self.node.create_client(GetParameters, f"{node}/get_parameters")
         try:
             while not client.service_is_ready() and time.monotonic() < end:
                 self.spin(_LOOK_S)
             request = GetParameters.Request(names=["scenario_text", "scenario"])
             call = client.call_async(request)
-            self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
+            self.executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
             answer = call.result() if call.done() else None
             if answer is None or len(answer.values) != 2:
                 return None
             text, name = (str(value.string_value) for value in answer.values)
             return text, name
         finally:
-            self._node.destroy_client(client)
+            self.node.destroy_client(client)
 
     def watch(self, scenario: Scenario) -> FlightState:
         """Subscribe to what a viewer shows; the state that is kept up to date from now on."""
         state = FlightState(scenario, time.monotonic)
         seal = seal_of(scenario)
-        self._endpoints = Endpoints(self._node, lockstep=True, seal=seal or operators_seal())
+        self.endpoints = Endpoints(self.node, lockstep=True, seal=seal or operators_seal())
         if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
-            self._endpoints.shared.add(topics.EPOCH.name)
-        self._request = self._endpoints.publisher(topics.REQUEST, 0)
+            self.endpoints.shared.add(topics.EPOCH.name)
+        self._leader = LeaderClient(self)
         listen_to_fleet(self._listen, state)
         self._state = state
         return state
@@ -186,10 +156,9 @@ class Observer:
     ) -> None:
         def taken(message: Any) -> None:
             deliver(message)
-            self._spin.look()
+            self._slices.look()
 
-        assert self._endpoints is not None
-        self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
+        self.endpoints.listen(topic, decode, taken, required=False, profile=profile)
 
     def ailments(self, names: Sequence[str], patience_s: float) -> dict[str, str]:
         """Faults of processes of the fleet: those that are silent for so long, or report an error.
@@ -204,13 +173,13 @@ class Observer:
                 ails = status.level >= DiagnosticLevel.ERROR
                 heard[name] = (status.message or "an error") if ails else ""
 
-        endpoints = Endpoints(self._node, lockstep=False, seal=operators_seal())
+        endpoints = Endpoints(self.node, lockstep=False, seal=operators_seal())
         for topic in (topics.DIAGNOSTICS, topics.READY):
             endpoints.listen(topic, decode_diagnostics, on_status, required=False)
         end = time.monotonic() + patience_s
         while not heard.keys() >= set(names) and time.monotonic() < end:
             self.spin(_LOOK_S)
-            if topics.RECORDER in self._node.get_node_names():
+            if topics.RECORDER in self.node.get_node_names():
                 heard[topics.RECORDER] = ""
         endpoints.close()
         found = {name: heard.get(name, "silent") for name in names}
@@ -218,21 +187,5 @@ class Observer:
 
     def call(self, leg: str) -> str:
         """Call the leader's service for a leg; returns why it did not work, empty when it did."""
-        assert leg in LEGS and self._endpoints is not None and self._request is not None
-        client = self._node.create_client(Trigger, f"{self._endpoints.fleet}/formation/{leg}")
-        try:
-            end = time.monotonic() + _ANSWER_S
-            while not client.service_is_ready() and time.monotonic() < end:
-                self.spin(_LOOK_S)
-            if not client.service_is_ready():
-                return f"the leader's service /formation/{leg} is not there"
-            self._request(HeaderTemplate(leg).encode(0))
-            self._endpoints.flush(_REQUEST_S)
-            call = client.call_async(Trigger.Request())
-            self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
-            answer = call.result() if call.done() else None
-        finally:
-            self._node.destroy_client(client)
-        if answer is None:
-            return f"the leader does not answer /formation/{leg}"
-        return "" if answer.success else str(answer.message)
+        assert leg in LEGS and self._leader is not None
+        return self._leader.call(leg, _ANSWER_S) or ""

@@ -30,12 +30,12 @@ from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.emergency.orders import APART, KILL, LAND, Order, parse_order, runtime_folder
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, FleetStatus, RemoteOrders
 from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
-from ptnsbc_nodes.view.goals import Answer, LegGoal, MissionGoal
+from ptnsbc_nodes.view.goals import LegGoal, MissionGoal
 from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
@@ -252,11 +252,11 @@ class OperatorNode:
         return Answer(bool(response.success), str(response.message))
 
     def _on_arm(self, _request: Any, response: Any) -> Any:
-        response.accepted, response.message = self._ask("launcher", self._launcher)
+        response.accepted, response.message = self._ask("launcher", self._launcher)[:2]
         return response
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
-        response.accepted, response.message = self.begin(request.leg)
+        response.accepted, response.message = self.begin(request.leg)[:2]
         return response
 
     def _on_stop(self, request: Any, response: Any) -> Any:
@@ -269,8 +269,8 @@ class OperatorNode:
         try:
             operation.begin()
             operation.run(_LOCAL_S)  # the bridges of this host need not wait for the middleware
-            with Coordinator(self._domain, "operator_stop", self.endpoints.fleet) as coordinator:
-                operation.remote = coordinator
+            with FleetNode(self._domain, "operator_stop", self.endpoints.fleet) as node:
+                operation.remote = RemoteOrders(node, FleetStatus(node))
                 operation.discover(_DISCOVERY_S)
                 if not operation.bridges:  # a simulated fleet
                     return self._tell_leader(response, kill=request.kill)

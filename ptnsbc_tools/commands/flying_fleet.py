@@ -27,7 +27,7 @@ from ptnsbc_tools.options import (
 )
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_nodes.fleet.fleet_node import FleetNode
     from ptnsbc_sim.scenario.mission.faults import FaultBlock
 
 _ANSWER_S, _LISTENERS_S = 5.0, 15.0
@@ -106,25 +106,26 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
         MissionError: no fleet with a mission is there, or it refuses.
     """
     number = ros.domain_number(domain)
-    with _coordinator(number, "mission", namespace) as coordinator:
-        done, said = coordinator.ask(service, _ANSWER_S)
-    if done:
-        return said
-    from ptnsbc_nodes.fleet.coordinator_node import not_there
+    with _fleet_node(number, "mission", namespace) as node:
+        from ptnsbc_nodes.fleet.fleet_node import LeaderClient
 
-    if said == not_there(service):
-        said = (
+        answer = LeaderClient(node).ask(service, _ANSWER_S)
+    if answer.accepted:
+        return answer.message
+    reason = answer.message
+    if not answer.found:
+        reason = (
             f"no fleet answered: expected one there{_FLEETS.get(service, _FLYING)}; "
             "choose another by --domain N or --namespace NAME"
         )
-    raise MissionError(f"domain {number}: {said}")
+    raise MissionError(f"domain {number}: {reason}")
 
 
-def _coordinator(domain: int, name: str, namespace: str) -> Coordinator:
+def _fleet_node(domain: int, name: str, namespace: str) -> FleetNode:
     with ros.required():
         from ptnsbc_nodes.comm.seal import operators_seal
-        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-    return Coordinator(domain, f"{name}_{os.getpid()}", namespace, seal=operators_seal())
+        from ptnsbc_nodes.fleet.fleet_node import FleetNode
+    return FleetNode(domain, f"{name}_{os.getpid()}", namespace, seal=operators_seal())
 
 
 KINDS = (
@@ -225,8 +226,10 @@ def inject(
     if not block.rule.live:
         raise InjectError(f"{block.kind}: expected it under faults in the scenario")
     number = ros.domain_number(domain)
-    with _coordinator(number, "inject", namespace) as coordinator:
-        listeners = coordinator.inject(block, _LISTENERS_S)
+    with _fleet_node(number, "inject", namespace) as node:
+        from ptnsbc_nodes.fleet.fault_injector import announce_fault
+
+        listeners = announce_fault(node, block, _LISTENERS_S)
     if not listeners:
         raise InjectError(
             f"domain {number}: nobody takes faults: expected a fleet there whose scenario has the key "

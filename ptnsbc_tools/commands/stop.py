@@ -19,8 +19,8 @@ from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, option
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+    from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 
 _SERVICE_S = 3.0
 _LEADER_S = 6.0  # to be found on a busy machine: nothing waits for it
@@ -87,46 +87,46 @@ def _give(
         done = operation.run(patience)
         code = _report(operation)
         if not kill:
-            with _middleware(domain, fleet) as coordinator:
-                _have_recorded(coordinator)
+            with _middleware(domain, fleet) as node:
+                _have_recorded(node)
         return code if done else _MISSING
     if not ready:
         operation.begin()
         operation.run(0.1)  # the bridges of this host need not wait for the middleware
-    with _middleware(domain, fleet) as coordinator:
-        operation.remote = coordinator
+    with _middleware(domain, fleet) as node:
+        operation.remote = node.orders
         if ready:
-            _wait_for_key(operation, coordinator, kill=kill)
+            _wait_for_key(operation, node, kill=kill)
             operation.begin()
         else:
             operation.discover(_DISCOVERY_S)
         if not operation.bridges:
-            return _tell_leader(coordinator, domain, kill=kill)
+            return _tell_leader(node, domain, kill=kill)
         operation.run(patience)
         code = _report(operation)
         if not kill:
-            _have_recorded(coordinator)
+            _have_recorded(node)
     return code
 
 
-def _have_recorded(coordinator: Coordinator) -> None:
+def _have_recorded(node: LauncherNode) -> None:
     """Have the leader announce the landing, so that the recording has the leg; the vehicles have their order."""
-    refusal = coordinator.call("stop", _LEADER_S)
+    refusal = node.leader.call("stop", _LEADER_S)
     if refusal is not None:
         console.say(f"the recording lacks the landing: {refusal}")
 
 
-def _middleware(domain: int, fleet: str) -> Coordinator:
+def _middleware(domain: int, fleet: str) -> LauncherNode:
     from ptnsbc_nodes.comm.seal import operators_seal
 
     with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
-        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 
-    return Coordinator(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
+    return LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
 
 
-def _tell_leader(coordinator: Coordinator, domain: int, *, kill: bool) -> int:
-    refusal = coordinator.call("stop", _SERVICE_S)
+def _tell_leader(node: LauncherNode, domain: int, *, kill: bool) -> int:
+    refusal = node.leader.call("stop", _SERVICE_S)
     if refusal is not None:
         raise StopError(
             f"domain {domain}: no bridge listens, and {refusal}: expected a fleet there"
@@ -147,13 +147,13 @@ def _report(operation: EmergencyStop) -> int:
     return 0
 
 
-def _wait_for_key(operation: EmergencyStop, coordinator: Coordinator, *, kill: bool) -> None:
+def _wait_for_key(operation: EmergencyStop, node: LauncherNode, *, kill: bool) -> None:
     """Look for bridges until a key is pressed; Ctrl-C leaves without an order."""
     what = "STOP ALL MOTORS" if kill else "LAND ALL"
     known: list[str] | None = None
     with _single_keys() as descriptor:
         while not select.select([descriptor], [], [], 0.0)[0]:
-            coordinator.spin(_LOOK_S)
+            node.spin(_LOOK_S)
             operation.look_up()
             if operation.bridges != known:
                 known = operation.bridges

@@ -39,9 +39,9 @@ from ptnsbc_nodes.emergency.orders import (
     socket_path,
 )
 from ptnsbc_nodes.emergency.records import record_path
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet import FleetOptions, _listed
+from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_sim.scenario import load_scenario
 
@@ -153,13 +153,13 @@ def test_a_vehicle_has_one_name_on_every_path(ros, bridge, fleet):
     folder = runtime_folder(ros.domain, fleet)
     with (
         _listed(options, ros.domain, print),
-        Coordinator(ros.domain, "stop", fleet) as coordinator,
+        LauncherNode(ros.domain, "stop", fleet) as node,
     ):
         bridge(fleet)
         assert socket_path(folder, "bridge3").exists()
         assert record_path(folder, "bridge3").exists()
-        ros.spin_until(lambda: coordinator.spin(0.02) or coordinator.vehicles)
-        operation = EmergencyStop(folder, Order(LAND), coordinator)
+        ros.spin_until(lambda: node.spin(0.02) or node.status.vehicles)
+        operation = EmergencyStop(folder, Order(LAND), node.orders)
         try:
             assert operation.bridges == [f"bridge{i}" for i in scenario.uav_ids]
             operation.begin()

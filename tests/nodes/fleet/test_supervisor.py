@@ -1,6 +1,5 @@
 """The judgement of a flight on processes that end, that are stuck, or that it has to kill."""
 
-import math
 import os
 import signal
 from dataclasses import replace
@@ -14,10 +13,11 @@ pytest.importorskip("rclpy")
 from ptnsbc_nodes.emergency.orders import runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.fleet import supervisor as flights
-from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
+from ptnsbc_nodes.fleet.fault_injector import FaultInjector
+from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
+from ptnsbc_nodes.fleet.supervisor import Supervisor, report_armed
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
@@ -31,6 +31,15 @@ if sys.argv[1] == "finished":
 print("here", flush=True)
 signal.pause()
 """
+
+
+def supervisor_of(options, node, children=(), stop=None, progress=print):
+    """A supervisor of these processes; `node` is all parts of the launcher's node."""
+    node.status = node.lifecycle = node.leader = node.news = node
+    crew = Crew({}, Path(), node)
+    crew.children.extend(children)
+    faults = FaultInjector(options, progress, crew.start_again)
+    return Supervisor(options, crew, faults, node, stop, progress)
 
 
 def kill(children, _patience_s=0.0):
@@ -48,14 +57,14 @@ def ended(tmp_path, monkeypatch):
 
     def end(name: str, state: str, **more: bool) -> tuple[list[str], list[str]]:
         said: list[str] = []
-        coordinator = SimpleNamespace(end=lambda _seconds: None, leave=lambda: None)
-        flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, said.append)
+        node = SimpleNamespace(end=lambda _seconds: None, leave=lambda: None)
         folders = os.pathsep.join([str(ROOT), str(tmp_path)])
         environment = {**os.environ, "PYTHONPATH": folders}
         child = ChildProcess(
             ProcessCommand(name, "stays", (state,), **more), environment, Path(tmp_path)
         )
-        flight.children.append(child)
+        options = FleetOptions(load_scenario("paper_5"))
+        flight = supervisor_of(options, node, [child], progress=said.append)
         while not child.log_lines():
             assert child.wait(0.02) is None, child.tail()
         flight.end()
@@ -77,12 +86,12 @@ def test_a_process_that_has_finished_but_does_not_exit_is_killed_and_has_not_die
 def test_the_launcher_has_left_the_network_before_its_processes_leave_it(monkeypatch):
     """Fast DDS hung a launcher for good that heard them leave (its issue 6502)."""
     done: list[object] = []
-    coordinator = SimpleNamespace(
+    node = SimpleNamespace(
         end=lambda _seconds: done.append("tells"), leave=lambda: done.append("leaves")
     )
     monkeypatch.setattr(flights, "end", lambda children, *_: done.append(list(children)))
-    flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, print)
-    flight.children.extend([uav := Child("uav1", 1), recorder := Child("recorder")])
+    uav, recorder = Child("uav1", 1), Child("recorder")
+    flight = supervisor_of(FleetOptions(load_scenario("paper_5")), node, [uav, recorder])
     uav.exit_code = recorder.exit_code = 0
     flight.end()
     assert done == ["tells", "leaves", [uav], [uav, recorder]]
@@ -103,37 +112,10 @@ def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
     assert "signal SIGKILL" in line
 
 
-@pytest.mark.ros
-@pytest.mark.parametrize(
-    ("running", "says"),
-    [
-        (False, "uav1 of another fleet is in domain 7: expected another domain"),
-        (True, "uav1 refused to be activated, uav1.log"),
-    ],
-)
-def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(running, says):
-    coordinator = SimpleNamespace(
-        domain=7,
-        held=set(),
-        refused=["uav1"],
-        waiting={},
-        serve_arming=lambda _refusal: None,
-        missing=lambda names: dict.fromkeys(names, "its first diagnostics"),
-        spin=lambda _seconds: None,
-    )
-    child = Child("uav1", 1)
-    child.log, child.tail = "uav1.log", lambda: ""
-    child.reports = SimpleNamespace(running=running)
-    options, stop = FleetOptions(load_scenario("paper_5")), SimpleNamespace(came=False)
-    flight = Supervisor(options, coordinator, stop, print)
-    flight.children.append(child)
-    with pytest.raises(FleetError, match=says):
-        flight.start([], {}, Path(), math.inf)
-
-
 class Child:
     def __init__(self, name, *uavs):
         self.name, self.pid, self.exit_code, self.signals = name, 7, None, []
+        self.log_size = 0
         self.command = ProcessCommand(name, "module", (), uavs)
 
     def send(self, number):
@@ -145,10 +127,8 @@ class Child:
 def test_a_process_that_is_stuck_is_ended(lockstep):
     """A UAV after 10 s, a recorder after 60 s; in real time none, because no process waits for another."""
     waited = {"uav1": 10.1, "uav2": 9.9, "recorder": 59.0, "sim": 100.0}
-    coordinator = SimpleNamespace(stuck=lambda: waited)
+    node = SimpleNamespace(stuck=lambda: waited)
     options = FleetOptions(load_scenario("paper_5"), lockstep=lockstep)
-    said: list[str] = []
-    flight = Supervisor(options, coordinator, None, said.append)
     children = [
         Child("uav1", 1),
         Child("uav2", 2),
@@ -156,7 +136,7 @@ def test_a_process_that_is_stuck_is_ended(lockstep):
         Child("recorder"),
         Child("sim"),
     ]
-    flight.children.extend(children)
+    flight = supervisor_of(options, node, children)
     flight._end_stuck()
     assert [c.name for c in children if c.signals] == (["uav1"] if lockstep else [])
     waited["recorder"] = 60.1
@@ -168,32 +148,22 @@ def test_a_process_that_is_stuck_is_ended(lockstep):
 @pytest.mark.ros
 def test_a_sim_without_a_sign_of_life_is_ended():
     """Each line of its log and each status counts; so long as they come it may take as long as it likes."""
-    statuses = iter(range(10_000))
-    alive = True
-    newest: list[int | None] = [None]
-
-    def last_status_s(_name: str) -> int | None:
-        if alive:
-            newest[0] = next(statuses)
-        return newest[0]
-
-    coordinator = SimpleNamespace(last_status_s=last_status_s)
-    flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, print)
-    flight.children.extend([Child("uav1", 1), sim := Child("sim")])
+    node, uav, sim = SimpleNamespace(last_s={}), Child("uav1", 1), Child("sim")
+    flight = supervisor_of(FleetOptions(load_scenario("paper_5")), node, [uav, sim])
     looks = round(SIM_ENDED_S / flights._LOOK_S)
-    for _ in range(2 * looks):
+    for look in range(2 * looks):
+        node.last_s["sim"] = look
         flight._end_silent_sim()
-    alive = False
     for _ in range(looks - 1):
         flight._end_silent_sim()
         assert sim.signals == []
-    flight._sim_lines += 1  # a line of its log
+    sim.log_size += 1
     for _ in range(looks):
         flight._end_silent_sim()
         assert sim.signals == []
     flight._end_silent_sim()
     assert sim.signals == [signal.SIGKILL]
-    assert flight.children[0].signals == []
+    assert uav.signals == []
 
 
 class Bridge(Child):
@@ -223,14 +193,8 @@ class Fleet:
             load_scenario("experiment_4"), backend="mavlink", allow_arming=True, only=only
         )
         monkeypatch.setattr(flights.time, "monotonic", lambda: self.now_s)
-        self.supervisor = Supervisor(options, self, self.stop, self.said.append)
-        self.supervisor.children.extend(self.bridges)
-
-    def share(self, leads):
-        pass
-
-    def runtime_folder(self):
-        return self.folder
+        self.orders = "orders"
+        self.supervisor = supervisor_of(options, self, self.bridges, self.stop, self.said.append)
 
     def call(self, leg, _patience_s):
         self.calls.append(leg)
@@ -318,11 +282,11 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
     fleet.answer = "the leader does not answer /formation/land"
     told = []
     monkeypatch.setattr(
-        flights, "order_landing", lambda one: told.append(one) or ["bridge1: silent"]
+        flights, "order_landing", lambda *of: told.append(of) or ["bridge1: silent"]
     )
     fleet.end_at(1.0, fleet.bridges[0])
     fleet.supervisor._land()
-    assert told == [fleet]
+    assert told == [(tmp_path, "orders")]
     assert fleet.said == [
         f"{fleet.answer}: every bridge is told to land by itself",
         "bridge1: silent",
@@ -363,9 +327,7 @@ def test_a_launcher_that_follows_lands_only_its_own_vehicles(monkeypatch, tmp_pa
 @pytest.mark.ros
 def test_a_launcher_that_follows_ends_with_the_sim_on_another_computer():
     """Seen with a fifth of the packets lost: it knew that the sim had ended, and no word of the flight's end came."""
-    following = SimpleNamespace(
-        led=True, over=False, gone=set(), looks=0, share=lambda leads: None, lose=lambda name: None
-    )
+    following = SimpleNamespace(led=True, over=False, gone=set(), looks=0, lose=lambda name: None)
 
     def spin(_seconds):
         following.looks += 1
@@ -375,8 +337,8 @@ def test_a_launcher_that_follows_ends_with_the_sim_on_another_computer():
     following.spin = spin
     said = []
     options = FleetOptions(load_scenario("paper_5"), only=frozenset({"uav4"}))
-    follower = Supervisor(options, following, SimpleNamespace(came=False), said.append)
-    follower.children.append(Child("uav4"))
+    stop = SimpleNamespace(came=False)
+    follower = supervisor_of(options, following, [Child("uav4")], stop, said.append)
     follower.watch(10.0)
     assert following.looks == 3
     assert said == ["sim has ended, on another computer"]
@@ -416,9 +378,7 @@ def test_the_records_of_a_fleet_are_those_of_its_namespace(domain, monkeypatch, 
             "bridge1", os.getpid(), 1, "px4", "", heard=True, armed=True, mode="OFFBOARD"
         )
         write_record(runtime_folder(domain, fleet), replace(record, place=place))
-    options = FleetOptions(load_scenario("experiment_4"), backend="mavlink", namespace="/blue")
     said: list[str] = []
-    with Coordinator(domain, "fleet", "/blue") as coordinator:
-        flight = Supervisor(options, coordinator, None, said.append)
-        flight._name_armed([Bridge("bridge1"), Child("uav1", 1)])
+    with LauncherNode(domain, "fleet", "/blue") as node:
+        report_armed(node.folder, [Bridge("bridge1"), Child("uav1", 1)], said.append)
     assert said == [f"bridge1: {WORD}; ptnsbc stop reaches it past its bridge"]

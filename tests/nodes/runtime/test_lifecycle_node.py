@@ -140,6 +140,12 @@ def test_an_error_of_ours_ends_the_process(managed):
     assert node.broken and node.ended
 
 
+def manager_of(node):
+    manager = LifecycleManager(set())
+    manager.join(node, "")
+    return manager
+
+
 def take_to_active(ros, manager, node):
     manager.manage("uav3", "/uav3/controller")
 
@@ -153,7 +159,7 @@ def take_to_active(ros, manager, node):
 
 def test_the_manager_takes_nodes_to_active(ros, managed):
     node = managed()
-    take_to_active(ros, LifecycleManager(ros.node("fleet")), node)
+    take_to_active(ros, manager_of(ros.node("fleet")), node)
 
 
 def test_the_manager_names_who_refuses(ros, managed):
@@ -161,7 +167,7 @@ def test_the_manager_names_who_refuses(ros, managed):
         raise PtnsbcError("no")
 
     managed().assign(refuse, lambda: None)
-    manager = LifecycleManager(ros.node("fleet"))
+    manager = manager_of(ros.node("fleet"))
     manager.manage("uav3", "/uav3/controller")
 
     def refused():
@@ -197,9 +203,9 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
     monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
     monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
-    manager = LifecycleManager(fleet)
+    manager = manager_of(fleet)
     take_to_active(ros, manager, node)
-    manager.arrived("uav3")  # as it says itself on /diagnostics
+    manager._active.add("uav3")  # as it says itself on /diagnostics
     manager.look()
     assert manager._nodes == {}
 
@@ -208,7 +214,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
 @pytest.mark.parametrize("answers", [True, False])
 def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monkeypatch, answers):
     """Also where no answer arrives, and the manager tries the other transition."""
-    node, fleet, held = managed(), ros.node("fleet"), {"uav3"}
+    node, fleet = managed(), ros.node("fleet")
     requests = []
     if not answers:
         make, destroy = fleet.create_client, fleet.destroy_client
@@ -220,7 +226,8 @@ def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monke
         monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
         monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
         monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
-    manager = LifecycleManager(fleet, held)
+    manager = manager_of(fleet)
+    manager.held.add("uav3")
     manager.manage("uav3", "/uav3/controller")
 
     def configured():
@@ -232,7 +239,7 @@ def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monke
         manager.look()
         ros.spin_for(0.02)
     assert node.state == "inactive" and ACTIVATE not in requests
-    held.clear()
+    manager.held.clear()
     ros.spin_until(lambda: manager.look() or node.state == "active")
     assert manager.refused == []
 

@@ -21,7 +21,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.seal import KEY_FILE, Seal, new_key, read_key
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
 from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import CANCEL
@@ -82,14 +82,15 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     ros.spin_until(lambda: now[0] > 0, timeout=200.0)
     begun = mission("start", "gate")
     assert begun.returncode == 0, begun.stderr
-    with Coordinator(domain, "asker", seal=seal) as leader:
-        taken, why = leader.ask("leg_3", 60.0)
+    with FleetNode(domain, "asker", seal=seal) as node:
+        leader = LeaderClient(node)
+        taken, why, _ = leader.ask("leg_3", 60.0)
         assert not taken
         assert why.startswith("leg far leaves -")
         told = json.loads(leader.ask("mission", 60.0)[1])["legs"]
         assert "begin_s" in told[1], "the refused leg has not ended the one that is flown"
-    with Coordinator(domain, "outsider") as outsider:
-        unheard, why = outsider.ask("cancel", 60.0)
+    with FleetNode(domain, "outsider") as node:
+        unheard, why, _ = LeaderClient(node).ask("cancel", 60.0)
         assert not unheard
         assert why.startswith("security: signed: expected a sealed")
     cancelled = mission("cancel")

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from ptnsbc_io.wire import HeaderTemplate, WireError
 from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.fault_injector import announce_fault, hear_faults
+from ptnsbc_nodes.fleet.fleet_node import FleetNode
 from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultBlock
 from ptnsbc_tools.cli import app
@@ -68,11 +69,11 @@ def test_a_fault_of_a_stand_in_goes_to_its_port(monkeypatch):
 
 def test_a_fault_reaches_the_fleet(domain):
     heard = []
-    with Coordinator(domain) as fleet:
-        fleet.listen_for_faults(UAVS, heard.append)
-        with Coordinator(domain, "inject") as operator:
+    with FleetNode(domain) as fleet:
+        hear_faults(fleet, UAVS, heard.append)
+        with FleetNode(domain, "inject") as operator:
             fault = FaultBlock.model_validate({"kind": "loss", "uav": 2, "at_s": 0, "share": 0.5})
-            assert operator.inject(fault, 30.0) == 1
+            assert announce_fault(operator, fault, 30.0) == 1
         while not heard:
             fleet.spin(0.05)
     assert heard == [fault]

@@ -1,5 +1,6 @@
-"""From which places a flight is judged before anything arms and before it begins."""
+"""The start of a flight: from which places it is judged, who is started again, and why it does not begin."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -8,9 +9,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("pymavlink")
 
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.fleet.flight_check import SAME_M, FlightCheck
+from ptnsbc_nodes.fleet import child_process, takeoff
+from ptnsbc_nodes.fleet.child_process import Crew, ProcessCommand
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
+from ptnsbc_nodes.fleet.takeoff import SAME_M, FleetError, FlightCheck, TakeOff
 from ptnsbc_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("experiment_4")
@@ -27,15 +29,12 @@ class Vehicles:
         self.vehicles = {name: vehicle(Step.CONTROLLER) for name in self.places}
         self.measured = {i: (*self.spot(i), HEIGHT_M + 0.1) for i in IDS}
         self.started = []
+        self.lifecycle = self.status = self.leader = self
 
     @staticmethod
     def spot(uav):
         x, y, _ = SCENARIO.uav(uav).position
         return float(x) + 1.0, float(y)
-
-    def positions(self, uav_ids, patience_s):
-        assert tuple(uav_ids) == IDS
-        return self.measured
 
     def missing(self, names):
         return {}
@@ -45,6 +44,20 @@ class Vehicles:
 
     def begins_in_s(self):
         return 0.0
+
+    def mute(self):
+        pass
+
+
+@pytest.fixture(autouse=True)
+def measured(monkeypatch):
+    """The odometry of the vehicles."""
+
+    def positions(vehicles, uav_ids, _patience_s):
+        assert tuple(uav_ids) == IDS
+        return vehicles.measured
+
+    monkeypatch.setattr(takeoff, "measured_positions", positions)
 
 
 def vehicle(step, *, armed=False, landed=False):
@@ -146,13 +159,13 @@ def test_an_operator_lets_vehicles_arm_once_all_know_where_they_are_and_the_flig
 
 def test_without_dry_runs_too_vehicles_wait_for_their_operator():
     vehicles = Vehicles()
-    vehicles.may_arm, vehicles.begun, vehicles.listen_for_start = False, False, lambda: None
+    vehicles.begun, vehicles.listen_for_start = False, lambda: None
     orders = iter(("arm", "start"))
 
-    def look():
+    def look(take_off):
         order = next(orders)
         assert bool(vehicles.held) == (order == "arm")
-        vehicles.may_arm, vehicles.begun = True, order == "start"
+        take_off._check.may_arm, vehicles.begun = True, order == "start"
 
     said = launched(vehicles, None, look, wait=True)
     assert vehicles.begun and vehicles.started == []
@@ -160,17 +173,17 @@ def test_without_dry_runs_too_vehicles_wait_for_their_operator():
     assert said[1].endswith("when an operator calls /formation/start")
 
 
-def launched(vehicles, judges, look=lambda: None, **more):
+def launched(vehicles, judges, look=lambda _: None, **more):
     options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
     stop, said = SimpleNamespace(came=False), []
-    supervisor = Supervisor(options, vehicles, stop, said.append)
+    take_off = TakeOff(options, Crew({}, None, vehicles), vehicles, stop, said.append)
 
     def wait(_deadline):
-        look()
+        look(take_off)
         return True
 
-    supervisor._wait = wait
-    supervisor._start_flight(0.0)
+    take_off._wait = wait
+    take_off._start_flight(0.0)
     return said
 
 
@@ -182,3 +195,113 @@ def test_the_launcher_starts_only_what_is_not_refused():
         launched(Vehicles(), judge("UAV 2 is late")[0])
     with pytest.raises(FleetError, match=r"measured positions .* UAV 2 is late"):
         launched(Vehicles(), judge("UAV 2 is late")[0], backend="sim")
+
+
+class Loaded:
+    """A process that has loaded."""
+
+    def __init__(self, command):
+        self.command, self.name, self.pid, self.exit_code = command, command.name, 7, None
+        self.reports = SimpleNamespace(running=True)
+
+
+class Network:
+    """The node of a launcher that hears some processes; the others wait to be introduced."""
+
+    def __init__(self, heard=(), sees=(), asked=()):
+        self.status = self.lifecycle = self
+        self.waiting = dict.fromkeys(heard, "")
+        self.seen, self.was_asked = sees, asked
+        self.done = []
+
+    def sees(self, node):
+        return node in self.seen
+
+    def asked(self, name):
+        return name in self.was_asked
+
+    def rejoin(self):
+        self.done.append("joined again")
+
+    def manage(self, name, _node):
+        self.done.append(f"managed {name}")
+
+
+@pytest.fixture
+def renewed(monkeypatch):
+    monkeypatch.setattr(takeoff, "_UNHEARD_S", 0.0)
+
+    def renewed(network: Network, *names: str, looks: int = 1) -> tuple[list[str], list[str]]:
+        """The steps taken about processes that have loaded, and the arguments of those started again."""
+        crew = Crew({}, None, network)
+        introduction = takeoff.Introduction(crew, network, lambda _: None)
+        started: list[str] = []
+        monkeypatch.setattr(takeoff, "end", lambda ended: network.done.append(ended[0].name))
+
+        def launch(command, *_):
+            started.extend(command.arguments)
+            return Loaded(command)
+
+        monkeypatch.setattr(child_process, "ChildProcess", launch)
+        for name in names:
+            command = ProcessCommand(
+                name, "none", (), managed=f"/{name}", ends=name.startswith("bridge")
+            )
+            crew.children.append(Loaded(command))
+        for _ in range(looks):
+            introduction.look()
+        return network.done, started
+
+    return renewed
+
+
+def test_a_process_that_nobody_hears_is_started_again(renewed):
+    done, _ = renewed(Network(heard=["uav1"]), "uav1", "uav2")
+    assert done == ["uav2", "managed uav2"]
+
+
+def test_who_is_heard_is_left_alone(renewed):
+    done, _ = renewed(Network(heard=["uav1"], sees=["recorder"]), "recorder", "uav1", looks=3)
+    assert done == []
+
+
+def test_a_recorder_that_is_left_out_replaces_its_own_empty_bag(renewed):
+    done, arguments = renewed(Network(heard=["uav1"]), "recorder", "uav1")
+    assert done[0] == "recorder"
+    assert arguments == ["--overwrite"]
+
+
+def test_a_launcher_that_hears_nobody_joins_again_before_it_ends_a_process(renewed):
+    done, _ = renewed(Network(), "uav1", "uav2", looks=2)
+    assert done == ["joined again", "uav1", "managed uav1"]
+
+
+def test_a_bridge_that_was_asked_to_act_may_be_flying(renewed):
+    assert renewed(Network(heard=["uav1"], asked=["bridge1"]), "uav1", "bridge1")[0] == []
+    done, _ = renewed(Network(heard=["uav1"]), "uav1", "bridge1")
+    assert done == ["bridge1", "managed bridge1"]
+
+
+@pytest.mark.parametrize(
+    ("running", "says"),
+    [
+        (False, "uav1 of another fleet is in domain 7: expected another domain"),
+        (True, "uav1 refused to be activated, uav1.log"),
+    ],
+)
+def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(running, says):
+    node = SimpleNamespace(
+        domain=7,
+        lifecycle=SimpleNamespace(held=set(), refused=["uav1"]),
+        status=SimpleNamespace(waiting={}, missing=lambda names: dict.fromkeys(names, "its first")),
+        attach=lambda _join: None,
+        spin=lambda _seconds: None,
+    )
+    child = Loaded(ProcessCommand("uav1", "module", (), (1,)))
+    child.log, child.tail = "uav1.log", lambda: ""
+    child.reports = SimpleNamespace(running=running)
+    options, stop = FleetOptions(load_scenario("paper_5")), SimpleNamespace(came=False)
+    crew = Crew({}, None, node.lifecycle)
+    crew.children.append(child)
+    with pytest.raises(FleetError, match=says):
+        TakeOff(options, crew, node, stop, print).run([], math.inf)

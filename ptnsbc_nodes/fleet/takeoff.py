@@ -1,0 +1,372 @@
+"""From the first process of a flight to its start: all processes are heard and ready, and nothing speaks against it.
+
+Where other computers fly the rest, the computer with the recorder leads: it waits for all processes, and starts the
+flight.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from std_srvs.srv import Trigger
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.wire import Stamped, decode_odometry
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
+from ptnsbc_nodes.comm.qos import STATE_REALTIME
+from ptnsbc_nodes.comm.topics import RECORDER, SIM
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand, end
+from ptnsbc_nodes.fleet.fleet_node import FleetNode, LauncherNode
+from ptnsbc_nodes.fleet.process_list import FleetOptions
+from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_sim.sweep.dry_run import START_M, with_starts_at
+
+Report = Callable[[str], None]
+
+SAME_M = 3 * START_M
+"""Vehicles that are so near to where the flight was judged are not judged again: dry runs move starts that much."""
+_POSITIONS_S = 5.0
+_UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
+_LOOK_S = 0.05
+_REMINDER_S = 10.0
+
+
+class FleetError(PtnsbcError):
+    """A fleet that could not take off."""
+
+
+class TakeOff:
+    """The start of the processes of this computer, and of the flight where this computer leads."""
+
+    def __init__(
+        self,
+        options: FleetOptions,
+        crew: Crew,
+        node: LauncherNode,
+        stop: StopRequest,
+        progress: Report,
+    ) -> None:
+        self._options, self._crew, self._node = options, crew, node
+        self._stop, self._progress = stop, progress
+        self._check = FlightCheck(options, node)
+        self._introduction = Introduction(crew, node, progress)
+        self._refusal: str | None = "/formation/start was not called"
+        self._reminder_s = time.monotonic() + _REMINDER_S
+
+    def run(self, commands: Sequence[ProcessCommand], deadline: float) -> None:
+        """Start all processes, a few at a time, wait until all are ready, and start the flight.
+
+        Args:
+            commands: of the processes of this computer, in the order of their start.
+            deadline: by the monotonic clock [s].
+
+        Raises:
+            FleetError: a process has ended or refuses, the deadline is over, or dry runs speak against the flight.
+        """
+        # Half of a process's start is loading, half is waiting for its discovery.
+        at_once = 2 * (os.cpu_count() or 1)
+        if self._options.leads:
+            self._check.serve()
+        for command in commands:
+            while len(self._silent()) >= at_once and self._wait(deadline):
+                pass
+            if self._stop.came:
+                return
+            self._crew.start(command)
+        if self._options.leads:
+            self._start_flight(deadline)
+            return
+        while self._silent() and self._wait(deadline):
+            pass
+        if not self._stop.came:
+            names = ", ".join(child.name for child in self._crew.children)
+            self._progress(f"{names}: running; the computer with the recorder starts the flight")
+
+    def _start_flight(self, deadline: float) -> None:
+        check = self._check
+        while check.holds and not check.located() and self._wait(deadline):
+            pass
+        if check.holds and not self._stop.came:
+            if objection := check.before_arming():
+                raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
+            if self._options.objection is not None:
+                self._progress("dry runs from where the vehicles stand are met: they may arm")
+            deadline += self._wait_for_arming()
+            check.release()
+        while self._missing() and self._wait(deadline):
+            pass
+        if not self._stop.came and (objection := check.before_start()):
+            raise FleetError(f"from the measured positions the flight is not started: {objection}")
+        self._begin(deadline)
+        if not self._stop.came:
+            count = len(self._crew.children) + len(self._options.elsewhere)
+            begins_in_s = self._node.leader.begins_in_s()
+            after = f", and the mission begins in {begins_in_s:.0f} s" if begins_in_s > 1.0 else ""
+            self._progress(f"{count} processes are ready: started{after}")
+
+    def _begin(self, deadline: float) -> None:
+        """Call for the first leg, or wait for it; a mission that begins by the clock has begun when it is announced."""
+        leader, by_clock = self._node.leader, self._options.starts_by_clock
+        if by_clock or self._options.wait:
+            leader.listen_for_start()
+        if self._options.wait:
+            self._progress(
+                "all are ready: the flight begins when an operator calls /formation/start"
+            )
+            while not leader.begun and self._wait(math.inf):
+                pass
+            return
+        while self._refusal and self._wait(deadline):
+            self._refusal = leader.start(patience_s=2.0)
+        self._node.status.mute()
+        while by_clock and not leader.begun and self._wait(deadline):
+            pass
+
+    def _wait_for_arming(self) -> float:
+        """Wait until an operator lets the vehicles arm, if one does; returns for how long [s]."""
+        began = time.monotonic()
+        if self._options.wait:
+            self._progress("the vehicles arm when an operator calls /formation/arm")
+            while not self._check.may_arm and self._wait(math.inf):
+                pass
+        return time.monotonic() - began
+
+    def _missing(self) -> dict[str, str]:
+        """The processes that must be ready before the flight and are not, and what each waits for."""
+        started = (child.command for child in self._crew.children if not child.command.beside)
+        names = [name for command in started for name in command.reporters]
+        awaited = [name for name in (*names, *self._options.elsewhere) if name != RECORDER]
+        return self._node.status.missing(awaited)
+
+    def _silent(self) -> list[ChildProcess]:
+        """Processes that have been started but not heard of: they load the CPU."""
+
+        def is_heard(child: ChildProcess) -> bool:
+            if child.name == RECORDER:  # it has no status on /diagnostics
+                return child.reports.running
+            if child.command.beside:
+                return child.reports.running or child.exit_code is not None
+            return self._node.status.waiting.keys() >= set(child.command.reporters)
+
+        return [child for child in self._crew.children if not is_heard(child)]
+
+    def _wait(self, deadline: float) -> bool:
+        """Wait a little; False when a signal has come, FleetError when it takes too long."""
+        self._node.spin(_LOOK_S)
+        self._crew.pass_on_lines(self._progress)
+        self._introduction.look()
+        for child in self._crew.children:
+            ended = child.exit_code is not None and not child.command.beside
+            if ended and not self._stop.came:
+                raise FleetError(f"before the flight: {child.exit_summary()}")
+            for name in set(child.command.reporters).intersection(self._node.lifecycle.refused):
+                if child.reports.running:
+                    raise FleetError(f"{name} refused to be activated, {child.log}\n{child.tail()}")
+                raise FleetError(  # it cannot have answered
+                    f"{name} of another fleet is in domain {self._node.domain}: expected another domain "
+                    "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
+                )
+        if time.monotonic() > deadline:
+            late = self._missing()
+            tails = [
+                c.tail() for c in self._crew.children if late.keys() & set(c.command.reporters)
+            ]
+            first = [f"not ready in time: {', '.join(late)}"] if late else []
+            raise FleetError("\n".join([*first, self._waiting_for(), *tails[:1]]))
+        if self._options.shared and time.monotonic() > self._reminder_s:
+            self._reminder_s = time.monotonic() + _REMINDER_S
+            self._progress(self._waiting_for())
+        return not self._stop.came
+
+    def _waiting_for(self) -> str:
+        """A line for each process that is not ready; why the flight is not started when all are."""
+        logs = {name: str(c.log) for c in self._crew.children for name in c.command.reporters}
+        lines = [
+            f"  {name} waits for {what}; {logs.get(name, 'on another computer')}"
+            for name, what in self._missing().items()
+        ]
+        return "\n".join(lines) or f"all are ready, but {self._refusal}"
+
+
+class FlightCheck:
+    """The check of a flight from where its vehicles are: before anything arms, and again before it begins.
+
+    No vehicle arms before its UAV process is active. The launcher keeps these processes inactive until all bridges
+    know where their vehicles stand, and a flight from there, at the take-off height, is not refused. The checks are
+    those of `FleetOptions.objection`; each returns why the flight must not begin, or nothing.
+    """
+
+    def __init__(self, options: FleetOptions, node: LauncherNode) -> None:
+        self.may_arm = False
+        """True once an operator has called /formation/arm, and it was accepted."""
+        self._options, self._node = options, node
+        self._judged: dict[int, tuple[float, ...]] = {}  # places from which it may begin
+        self._met = False  # nothing speaks against arming
+        if (options.objection is not None or options.wait) and options.backend == "mavlink":
+            node.lifecycle.held.update(f"uav{uav}" for uav in options.scenario.uav_ids)
+
+    def serve(self) -> None:
+        """Answer /formation/arm, by which an operator lets the vehicles arm."""
+
+        def join() -> None:
+            endpoints = self._node.endpoints
+            requests = Requests(endpoints, (ARM_SERVICE,), signed=self._node.seal is not None)
+
+            def answer(_request: Any, response: Any) -> Any:
+                reason = requests.refusal(ARM_SERVICE) or self.refusal()
+                response.success = not reason
+                response.message = reason or "the vehicles arm, and take off"
+                self.may_arm = self.may_arm or not reason
+                return response
+
+            name = f"{endpoints.fleet}/formation/{ARM_SERVICE}"
+            self._node.node.create_service(Trigger, name, answer)
+
+        self._node.attach(join)
+
+    @property
+    def holds(self) -> bool:
+        """True if vehicles are kept from arming until `before_arming`."""
+        return bool(self._node.lifecycle.held)
+
+    def located(self) -> bool:
+        """True if all bridges know where their vehicles are."""
+        return not self._lost()
+
+    def refusal(self) -> str:
+        """The reason why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
+        if self._options.backend != "mavlink":
+            return "simulated vehicles need no arming: /formation/start begins the flight"
+        if not self._options.wait:
+            return "the vehicles arm by themselves: with --wait the fleet leaves it to an operator"
+        if not self.holds:
+            return "the vehicles may arm already"
+        lost, vehicles = self._lost(), self._node.status.vehicles
+        if lost:
+            steps = (f"{n}: {vehicles[n].step if n in vehicles else 'not heard'}" for n in lost)
+            return "; ".join(steps)
+        return "" if self._met else "dry runs from where the vehicles stand are flown: try again"
+
+    def release(self) -> None:
+        """Let the vehicles arm."""
+        self._node.lifecycle.held.clear()
+
+    def before_arming(self) -> str:
+        """Judge the flight from above where the vehicles stand; without an objection they may be released."""
+        for uav in self._options.scenario.uav_ids:
+            name = f"bridge{uav}"
+            x, y, z = self._node.status.places[name]
+            # It may be airborne already, in a pilot's hands.
+            vehicle, height_m = self._node.status.vehicles[name], 0.0
+            if vehicle.landed or not vehicle.armed:
+                height_m = self._options.scenario.mavlink.takeoff_height_m
+            self._judged[uav] = (x, y, z + height_m)
+        objection = self._objection(self._judged)
+        self._met = not objection
+        return objection
+
+    def before_start(self) -> str:
+        """Judge the flight from where the vehicles are; in lock-step they are where the file says."""
+        options = self._options
+        if options.objection is None or options.lockstep:
+            return ""
+        places = measured_positions(self._node, options.scenario.uav_ids, _POSITIONS_S)
+        same = places.keys() == self._judged.keys() and all(
+            math.dist(place, self._judged[uav]) <= SAME_M for uav, place in places.items()
+        )
+        return "" if same else self._objection(places)
+
+    def _lost(self) -> list[str]:
+        """Bridges that do not know where their vehicle is."""
+        from ptnsbc_nodes.bridge.procedure.steps import OVER, Step  # needs pymavlink
+
+        early = {step.value for step in (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, *OVER)}
+        vehicles, places = self._node.status.vehicles, self._node.status.places
+        names = [f"bridge{uav}" for uav in self._options.scenario.uav_ids]
+        return [name for name in names if name not in places or vehicles[name].step in early]
+
+    def _objection(self, places: dict[int, tuple[float, ...]]) -> str:
+        judge = self._options.objection
+        try:
+            return "" if judge is None else judge(with_starts_at(self._options.scenario, places))
+        except PtnsbcError as error:  # nobody may start from there
+            return str(error)
+
+
+def measured_positions(
+    node: FleetNode, uav_ids: Sequence[int], patience_s: float
+) -> dict[int, tuple[float, ...]]:
+    """Measured positions (3,) [m], ENU, in real time; without the UAVs that publish none in this time."""
+    places: dict[int, tuple[float, ...]] = {}
+
+    def keep(uav: int) -> Callable[[Stamped], None]:
+        def on_odometry(message: Stamped) -> None:
+            places[uav] = tuple(float(number) for number in message.values[:3])
+
+        return on_odometry
+
+    heard = [
+        node.endpoints.listen(topics.odom(uav), decode_odometry, keep(uav), False, STATE_REALTIME)
+        for uav in uav_ids
+    ]
+    deadline = time.monotonic() + patience_s
+    while len(places) < len(uav_ids) and time.monotonic() < deadline:
+        node.spin(_LOOK_S)
+    for name in heard:
+        node.endpoints.ignore(name)
+    return places
+
+
+class Introduction:
+    """Notices processes that a discovery server has left out for good, and has them introduced once more."""
+
+    def __init__(self, crew: Crew, node: LauncherNode, progress: Report) -> None:
+        self._crew, self._node, self._progress = crew, node, progress
+        self._introduced_s: dict[str, float] = {}  # since when processes have been heard
+        self._running_s: dict[str, float] = {}  # since when processes have loaded
+        self._restarts: Counter[str] = Counter()
+
+    def look(self) -> None:
+        """Start the first process again that has been unheard for too long, or join the network again."""
+        now_s = time.monotonic()
+        unheard = [child for child in self._crew.children if not self._is_introduced(child, now_s)]
+        loaded = [child for child in unheard if self._is_running(child, now_s)]
+        # As long as others are found, and while the machine is busy with loading, it may just be slow.
+        last_s = max([*self._introduced_s.values(), *self._running_s.values()], default=now_s)
+        for child in loaded:
+            if now_s < last_s + _UNHEARD_S * 2 ** self._restarts[child.name]:
+                continue
+            self._restarts[child.name] += 1
+            if not self._node.status.waiting and self._restarts[child.name] % 2:
+                self._progress("no process is heard: the launcher joins the network again")
+                self._node.rejoin()
+                self._restarts.update(other.name for other in loaded if other is not child)
+                return
+            self._progress(f"{child.name} (pid {child.pid}) is not heard: it is started again")
+            end([child])
+            self._crew.start_again(child)
+            del self._running_s[child.name]
+            return
+
+    def _is_introduced(self, child: ChildProcess, now_s: float) -> bool:
+        if child.command.beside:
+            return True
+        if child.name not in self._introduced_s:
+            heard = self._node.status.waiting.keys() >= set(child.command.reporters)
+            if heard or (child.name == RECORDER and self._node.sees(RECORDER)):
+                self._introduced_s[child.name] = now_s
+        return child.name in self._introduced_s
+
+    def _is_running(self, child: ChildProcess, now_s: float) -> bool:
+        if child.name not in self._running_s and child.reports.running:
+            self._running_s[child.name] = now_s
+        # A bridge that was asked to act may be flying its vehicle.
+        bridge = child.command.ends and child.name != SIM
+        asked = bridge and self._node.lifecycle.asked(child.name)
+        return child.name in self._running_s and not asked
