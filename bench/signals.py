@@ -104,7 +104,7 @@ def _flight(
     folder: Path, domain: int, words: Sequence[str], victim: str, order: str, after_s: float
 ) -> Struck:
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", *words]
+    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.fleet_main", *words]
     command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:

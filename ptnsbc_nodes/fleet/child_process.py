@@ -75,7 +75,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.sim.sim_main": "sim",
     "ptnsbc_nodes.recording.recorder_main": "recorder",
     "ptnsbc_nodes.bridge.bridge_main": "bridge",
-    "ptnsbc_nodes.fleet.main": "fleet",
+    "ptnsbc_nodes.fleet.fleet_main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
     "ptnsbc_nodes.view.operator_main": "operator",
 }

@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from ptnsbc_nodes.fleet import main
+from ptnsbc_nodes.fleet import fleet_main
 
 PATIENCE_S = 240  # the first flight compiles the laws
 
@@ -26,14 +26,14 @@ class Launched:
         environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
         if domain is not None:
             environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", "--scenario", "paper_5"]
+        command = [sys.executable, "-m", "ptnsbc_nodes.fleet.fleet_main", "--scenario", "paper_5"]
         self.process = subprocess.Popen(
             [*command, "--lockstep", "--log-dir", str(log_dir), *arguments],
             stderr=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             env=environment,
-            cwd=Path(main.__file__).parents[2],
+            cwd=Path(fleet_main.__file__).parents[2],
         )
         # A fleet that hangs fails its test, instead of hanging that too.
         self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)

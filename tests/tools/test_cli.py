@@ -321,7 +321,7 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
 def test_a_simulated_fleet_needs_no_mavlink() -> None:
     """pymavlink is an extra of the package."""
     programs = (
-        "fleet.main",
+        "fleet.fleet_main",
         "uav.uav_main",
         "sim.sim_main",
         "recording.recorder_main",

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, read_bag
-from ptnsbc_nodes.fleet import main
+from ptnsbc_nodes.fleet import fleet_main
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, _killed_by, run_fleet
 from ptnsbc_nodes.view.observer import Observer
@@ -408,7 +408,7 @@ def test_an_existing_bag_is_refused_before_anything_starts(tmp_path):
 def test_a_bad_scenario_is_one_line_and_exit_2(tmp_path, capsys):
     path = tmp_path / "bad.yaml"
     path.write_text("name: bad\n")
-    assert main.main(["--scenario", str(path)]) == 2
+    assert fleet_main.main(["--scenario", str(path)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("fleet: ")

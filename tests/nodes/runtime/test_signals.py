@@ -105,7 +105,7 @@ PROCESSES = {
     "bridge": ("ptnsbc_nodes.bridge.bridge_main", *SCENARIO, "--uav", "1"),
     "recorder": ("ptnsbc_nodes.recording.recorder_main", "--bag", "bag", "--uavs", "1"),
     "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
-    "fleet": ("ptnsbc_nodes.fleet.main", *SCENARIO),
+    "fleet": ("ptnsbc_nodes.fleet.fleet_main", *SCENARIO),
     "ptnsbc fleet": ("ptnsbc_tools", "fleet", "paper_5"),
 }
 INTERRUPTED = {"fleet": 130, "ptnsbc fleet": 130}  # the others end with 0

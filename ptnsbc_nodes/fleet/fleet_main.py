@@ -1,4 +1,4 @@
-"""Fly a fleet: `python -m ptnsbc_nodes.fleet.main --scenario paper_5 --lockstep --bag DIR`."""
+"""Fly a fleet: `python -m ptnsbc_nodes.fleet.fleet_main --scenario paper_5 --lockstep --bag DIR`."""
 
 from __future__ import annotations
 
