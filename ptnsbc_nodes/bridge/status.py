@@ -109,91 +109,60 @@ def bridge_status(
 ) -> bytes:
     """A DiagnosticArray about one bridge, noted in `log`; `missing` is what the formation waits for."""
     safety = assess(_concerns(bridge, missing, endpoints))
+    log.note(safety.level, safety.reason)
+    procedure, vehicle, link, stream = bridge.procedure, bridge.vehicle, bridge.link, bridge.stream
+    state, report, battery = bridge.state_publisher, bridge.report, vehicle.battery.percent
+    age_s = state.controller.age_s(bridge.ports.clocks.steady_s())
+    following, latency, sync = stream.following.found(), stream.latency, bridge.maintenance.sync
+    attitude = stream.attitude if stream.sends_thrust(Stream.PLANNER) else None
+    thrust = attitude.thrust_test.found if attitude else None
+    shared = state.shared  # both of its numbers are of one instant: a reader counts what it lacks
+    round_trip = f"round trip {1e3 * sync.round_trip_s:.1f} ms"
     values = {
         **readiness(missing),
         SAFETY: safety.state.text,
-        **_flight_values(bridge, record),
-        **_setpoint_values(bridge),
-        **_link_values(bridge),
-        **_message_values(bridge),
-        **endpoints.refusals.values(),
-    }
-    log.note(safety.level, safety.reason)
-    stamp_ns = bridge.ports.clocks.ros_ns()
-    return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
-
-
-def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
-    """The step of the flight, and the state of the vehicle."""
-    report, battery = bridge.report, bridge.vehicle.battery.percent
-    place = "" if report.position is None else " ".join(map("{:.3f}".format, report.position))
-    return {
-        "step": bridge.procedure.step.value,
-        "fault": bridge.procedure.fault,
-        "mode": bridge.vehicle.mode_name,
-        "armed": str(bridge.vehicle.armed).lower(),
+        "step": procedure.step.value,
+        "fault": procedure.fault,
+        "mode": vehicle.mode_name,
+        "armed": str(vehicle.armed).lower(),
         "heard": str(record.heard).lower(),
         "landed": str(record.landed).lower(),
         "in_pilots_hands": str(record.in_pilots_hands).lower(),
         "place": record.place,
         "order": record.order,
-        "position_m": place,
+        "position_m": " ".join(map("{:.3f}".format, report.position or ())),
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",
         "battery_percent": "" if battery is None else f"{battery:.0f}",
-        "fix": bridge.vehicle.gnss.fix,
-    }
-
-
-def _setpoint_values(bridge: Bridge) -> dict[str, str]:
-    """The setpoints that the vehicle gets, and what was learnt of how it follows them."""
-    age_s = bridge.state_publisher.controller.age_s(bridge.ports.clocks.steady_s())
-    following = bridge.stream.following.found()
-    attitude = bridge.stream.attitude if bridge.stream.sends_thrust(Stream.PLANNER) else None
-    thrust = attitude.thrust_test.found if attitude else None
-    return {
-        "stream": bridge.procedure.output.stream.value,
+        "fix": vehicle.gnss.fix,
+        "stream": procedure.output.stream.value,
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
         "velocity_gain": "" if following is None else f"{following.gain:.2f}",
         "velocity_lag_s": "" if following is None else f"{following.lag_s:.2f}",
         "hover_thrust": f"{attitude.hover.value:.3f}" if attitude else "",
         "thrust_slope": f"{attitude.hover.slope:.2f}" if attitude else "",
         "thrust_delay_s": f"{thrust.delay_s:.2f}" if thrust else "",
-        "drag_1_s": f"{bridge.stream.drag.value:.2f}",
-    }
-
-
-def _link_values(bridge: Bridge) -> dict[str, str]:
-    """The link to the vehicle."""
-    link, latency, sync = bridge.link, bridge.stream.latency, bridge.maintenance.sync
-    return {
-        "timesync": f"round trip {1e3 * sync.round_trip_s:.1f} ms"
-        if sync.synchronised
-        else "one-way",
+        "drag_1_s": f"{stream.drag.value:.2f}",
+        "timesync": round_trip if sync.synchronised else "one-way",
         "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
         "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
         "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
         "received": str(link.received),
         "sent": str(link.sent),
         "unsent": str(link.unsent),
-    }
-
-
-def _message_values(bridge: Bridge) -> dict[str, str]:
-    """Counters of states, setpoints and MAVLink messages: sent, dropped, clamped."""
-    state, pose = bridge.state_publisher, bridge.vehicle.pose
-    shared = state.shared  # both of its numbers are of one instant: a reader counts what it lacks
-    return {
         "states_sent": f"{shared.stamp_ns} {shared.messages}",
         "states_old": str(state.dropped["old"]),
         "states_skewed": str(state.dropped["skewed"]),
-        "states_invalid": str(pose.invalid),
-        "states_doubted": str(pose.rejected),
+        "states_invalid": str(vehicle.pose.invalid),
+        "states_doubted": str(vehicle.pose.rejected),
         "setpoints_foreign": str(state.controller.foreign),
         "setpoints_invalid": str(state.controller.invalid),
-        **{f"dropped_{reason}": str(count) for reason, count in bridge.link.counts.items()},
-        **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
+        **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
+        **{f"clamped_{what}": str(count) for what, count in stream.guard.clamped.items()},
+        **endpoints.refusals.values(),
     }
+    stamp_ns = bridge.ports.clocks.ros_ns()
+    return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
 
 
 def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concern]:

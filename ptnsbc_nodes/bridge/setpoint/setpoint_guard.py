@@ -57,10 +57,30 @@ class SetpointGuard:
 
         It points inwards where the vehicle is outside, or will be when the setpoint takes effect.
         """
-        predicted = self.ahead(position_enu, moving_enu)
-        out = self._limit_to_box(np.array(velocity_enu, dtype=np.float64), predicted)
-        out = self._limit_to_radius(out, predicted)
-        return self._limit_speed(out)
+        predicted, limits = self.ahead(position_enu, moving_enu), self.limits
+        high = _APPROACH_1_S * (self._high - predicted)  # negative outside: inwards
+        low = -_APPROACH_1_S * (predicted - self._low)
+        out = np.clip(np.array(velocity_enu, dtype=np.float64), low, high)
+        if np.abs(out - velocity_enu).max() > _EPSILON:
+            self.clamped["fence"] += 1
+        distance = math.hypot(predicted[0], predicted[1])
+        if distance >= _EPSILON:
+            outward = predicted[0:2] / distance
+            excess = float(outward @ out[0:2]) - _APPROACH_1_S * (self._radius_m - distance)
+            if excess > _EPSILON:
+                out[0:2] -= excess * outward
+                self.clamped["fence"] += 1
+        speed = math.hypot(out[0], out[1])
+        if speed > limits.horizontal_m_s + _EPSILON:
+            out[0:2] *= limits.horizontal_m_s / speed
+            self.clamped["horizontal"] += 1
+        if out[2] > limits.up_m_s + _EPSILON:
+            out[2] = limits.up_m_s
+            self.clamped["up"] += 1
+        if out[2] < -limits.down_m_s - _EPSILON:
+            out[2] = -limits.down_m_s
+            self.clamped["down"] += 1
+        return out
 
     @property
     def lowest_m(self) -> float:
@@ -112,36 +132,3 @@ class SetpointGuard:
         """The distance of a position from the fence [m]; negative inside."""
         box = float(np.maximum(self._low - position, position - self._high).max())
         return max(box, math.hypot(position[0], position[1]) - self._radius_m)
-
-    def _limit_speed(self, out: Array) -> Array:
-        speed = math.hypot(out[0], out[1])
-        if speed > self.limits.horizontal_m_s + _EPSILON:
-            out[0:2] *= self.limits.horizontal_m_s / speed
-            self.clamped["horizontal"] += 1
-        if out[2] > self.limits.up_m_s + _EPSILON:
-            out[2] = self.limits.up_m_s
-            self.clamped["up"] += 1
-        if out[2] < -self.limits.down_m_s - _EPSILON:
-            out[2] = -self.limits.down_m_s
-            self.clamped["down"] += 1
-        return out
-
-    def _limit_to_box(self, out: Array, position: Array) -> Array:
-        high = _APPROACH_1_S * (self._high - position)  # negative outside: inwards
-        low = -_APPROACH_1_S * (position - self._low)
-        bounded: Array = np.clip(out, low, high)
-        if np.abs(bounded - out).max() > _EPSILON:
-            self.clamped["fence"] += 1
-        return bounded
-
-    def _limit_to_radius(self, out: Array, position: Array) -> Array:
-        distance = math.hypot(position[0], position[1])
-        if distance < _EPSILON:
-            return out
-        outward = position[0:2] / distance
-        speed = float(outward @ out[0:2])
-        limit = _APPROACH_1_S * (self._radius_m - distance)
-        if speed > limit + _EPSILON:
-            out[0:2] -= (speed - limit) * outward
-            self.clamped["fence"] += 1
-        return out
