@@ -9,7 +9,7 @@ from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5
-"""How often nodes publish their status."""
+"""Rate at which nodes publish their status."""
 
 _COUNTED = {
     "avoidance_active_s": columns.ACTIVE_ROWS,

@@ -244,7 +244,7 @@ class FlightChoices(Choices):
 
 @dataclass(frozen=True)
 class Reading:
-    """How a bag is read and judged."""
+    """Options of reading and judging a bag."""
 
     scenario: Annotated[
         Path | None,

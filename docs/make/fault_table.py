@@ -372,9 +372,7 @@ ANSWERS = (
         _STOP,
         "yields for good: no setpoint, no command",
         _NEVER,
-        (
-            f"{_BRIDGE}procedure/test_transitions.py::test_the_pilot_takes_over_and_the_bridge_yields",
-        ),
+        (f"{_BRIDGE}procedure/test_procedure.py::test_the_pilot_takes_over_and_the_bridge_yields",),
     ),
     FaultAnswer(
         "a vehicle refuses to arm, or its bridge gives up before the flight",
@@ -423,8 +421,8 @@ ANSWERS = (
         "named, and never armed again",
         _NEVER,
         (
-            f"{_BRIDGE}procedure/test_transitions.py::test_rebooted_in_flight",
-            f"{_BRIDGE}procedure/test_transitions.py::test_disarmed_in_flight",
+            f"{_BRIDGE}procedure/test_procedure.py::test_rebooted_in_flight",
+            f"{_BRIDGE}procedure/test_procedure.py::test_disarmed_in_flight",
         ),
     ),
     FaultAnswer(

@@ -1,4 +1,4 @@
-"""What rosbag2 (Jazzy, version 9) writes about a bag: definitions of types, quality of service, metadata.yaml.
+"""Metadata of a bag as rosbag2 (Jazzy, version 9) writes it: definitions of types, quality of service, metadata.yaml.
 
 Definition (ros2msg) and type hash (RIHS01) of a message type come from the share folders of the installed ROS packages.
 Where a package is absent (a machine without ROS; tf2_msgs, which has no wheel, where it is not built) they come from

@@ -80,7 +80,7 @@ class BridgeOptions(NamedTuple):
 
 
 class TopicOutputs(BridgeOutputs):
-    """What a bridge tells others, as topics and as lines on stderr (`BridgeOutputs`)."""
+    """The words of a bridge to others, as topics and as lines on stderr (`BridgeOutputs`)."""
 
     def __init__(
         self, endpoints: Endpoints, scenario: Scenario, uav_id: int, recorders: int

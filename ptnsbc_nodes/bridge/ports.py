@@ -47,7 +47,7 @@ Log = Callable[[str], None]
 
 
 class BridgeOutputs:
-    """What a bridge tells others; this one tells nobody anything."""
+    """The words of a bridge to others; this one tells nobody anything."""
 
     def odom(self, stamp_ns: int, odometry: Array) -> None:
         """The odometry (13,) of a vehicle in formation."""

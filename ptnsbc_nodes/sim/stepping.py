@@ -1,4 +1,4 @@
-"""How the simulated vehicles step and publish: in real time all at once, in lock-step each when its wrench is here.
+"""Steps and topics of the simulated vehicles: in real time all at once, in lock-step each when its wrench is here.
 
 In lock-step a vehicle publishes its state, receives a wrench for it, and steps. A barrier at every tick would leave the
 machine idle while the last UAV computes. A barrier is needed only where the world looks at all vehicles at once (near

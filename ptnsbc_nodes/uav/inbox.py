@@ -40,7 +40,7 @@ NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
 
 _IsLost = Callable[[int, int, Sequence[MessageFault]], bool]
-"""Whether a message is lost, by sender, stamp [ns] and the faults of messages."""
+"""Tells whether a message is lost, by sender, stamp [ns] and the faults of messages."""
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 # In lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed.
 _QUEUE_LENGTH = LEAD_TICKS + 2

@@ -1,4 +1,4 @@
-"""What one UAV flies: its controller, the legs, its slot and its faults."""
+"""The flight of one UAV: its controller, the legs, its slot and its faults."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _HELD = "held for {s:.2f} s, link stale"
 
 
 class Cause(Enum):
-    """Why a deadline was not met: in words, and whether it voids the deadline."""
+    """Cause of a missed deadline: in words, and whether it voids the deadline."""
 
     # the recording does not show it
     LOST = "{membership}", True

@@ -143,7 +143,7 @@ class Members:
         return bool(away) and away[-1].for_good and not away[-1].planned
 
     def text(self, uav: int) -> str:
-        """When a UAV came and went, in words; empty when it was there all the time."""
+        """Times at which a UAV came and went, in words; empty when it was there all the time."""
         return ", ".join(span.text(self._first_ns) for span in self.absences[uav])
 
     def phases(self, scenario: Scenario) -> tuple[Phase, ...]:

@@ -146,7 +146,7 @@ class Recording:
 
     @cached_property
     def members(self) -> Members:
-        """Who was in the formation, and when."""
+        """Members of the formation, and their times."""
         return Members(self.scenario, self.estimate, self.first_ns)
 
     @cached_property

@@ -232,7 +232,7 @@ def record(
 
 @dataclass(frozen=True)
 class Playing:
-    """How the messages of a bag are published."""
+    """Options of playing a bag."""
 
     rate: Annotated[
         float, option("--rate X", "--publish: speed in multiples of real time.", 0.001)

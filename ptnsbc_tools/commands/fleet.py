@@ -43,7 +43,7 @@ _NO_VERDICT = 1
 
 @dataclass(frozen=True)
 class Parts:
-    """What flies, and where its processes run."""
+    """Options of the fleet: vehicles, and the place of its processes."""
 
     lockstep: Annotated[
         bool,

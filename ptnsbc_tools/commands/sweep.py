@@ -42,7 +42,7 @@ def _print_families(wanted: bool) -> None:
 
 @dataclass(frozen=True)
 class Draws(Choices):
-    """What is drawn."""
+    """Options of the draws."""
 
     runs: Annotated[
         int,

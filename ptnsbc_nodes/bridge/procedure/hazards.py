@@ -273,7 +273,7 @@ class FormationWatch:
         self._scenario, self._ports, self._alone = scenario, ports, alone
         self._state, self._stream = state, stream
         self.hazard = ""
-        """Why the formation must be given up; it stays."""
+        """Reason for which the formation must be given up; it stays."""
         self.middle_m = scenario.mavlink.takeoff_height_m
         """Height [m] about which the layers of all vehicles lie."""
 
@@ -312,7 +312,7 @@ class FormationWatch:
         return None if newest is None else newest.values[0:3]
 
     def fence_breach(self) -> str:
-        """Why the vehicle must land; empty while it is inside of the fence."""
+        """Reason for which the vehicle must land; empty while it is inside of the fence."""
         odometry = self._state.odometry
         if odometry is None:
             return ""

@@ -129,7 +129,7 @@ class _VelocityIntegral:
 
 
 class GainFit:
-    """Whether the gains of the scenario fit the vehicle, by its parameters before the flight and by its link."""
+    """Judge whether the gains of the scenario fit the vehicle, by its parameters before the flight and by its link."""
 
     def __init__(self, link: VehicleLink, mavlink: Mavlink, config: AgentConfig) -> None:
         self._link, self._mavlink, self._config = link, mavlink, config
