@@ -25,10 +25,7 @@ _TYPES |= {"U1": "u1", "U2": "<u2", "U4": "<u4", "U8": "<u8"}
 
 
 _POINTS_OF_TREE = "which octree2pointcloud MAP.bt MAP.pcd of OctoMap writes"
-_OCTOMAP = {
-    ".bt": _POINTS_OF_TREE,
-    ".ot": f"{_POINTS_OF_TREE}, after convert_octree MAP.ot MAP.bt",
-}
+_OCTOMAP = {".bt": _POINTS_OF_TREE, ".ot": f"{_POINTS_OF_TREE}, after convert_octree MAP.ot MAP.bt"}
 
 
 class PointCloudFileError(PtnsbcError):

@@ -187,8 +187,7 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _main(
     show_version: Annotated[
-        bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass

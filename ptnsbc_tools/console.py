@@ -6,18 +6,17 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
     from rich.table import Table
 
 _PATIENCE_S = 2.0
-_COMPILING_SAY_S = 15.0  # between two lines
-_COMPILING_LOOK_S = 0.25
 COMPILING = "compiling the laws (once; then read from the cache)"
 _FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
@@ -124,94 +123,50 @@ def print_json(data: Mapping[str, Any]) -> None:
     print(json.dumps(data, allow_nan=False), flush=True)
 
 
-def compiling() -> _Compilation:
-    """Around the first use of the laws: says on stderr what is compiled when it takes longer than a moment."""
-    return _Compilation()
-
-
-def patience(line: str) -> _LateCall:
-    """Around work without progress: prints `line` on stderr when it takes longer than a moment."""
-    return _LateCall(lambda: say(line))
-
-
-class _LateCall:
-    """Calls a function when its block takes longer than a moment."""
-
-    def __init__(self, call: Callable[[], None]) -> None:
-        self._timer = threading.Timer(_PATIENCE_S, call)
-        self._timer.daemon = True
-
-    def __enter__(self) -> None:
-        self._timer.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._timer.cancel()
-
-
-class _Compilation:
-    """Names the function that is compiled, how many have been, and the time since the begin."""
-
-    def __init__(self) -> None:
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._show, daemon=True)
-        self._began = time.monotonic()
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _show(self) -> None:
-        if self._ended.wait(_PATIENCE_S):
-            return
-        with _counted_compilations() as compiled:
-            while not compiled:  # laws from the cache, or interpreted ones, are not compiled
-                if self._ended.wait(_COMPILING_LOOK_S):
-                    return
-            say_once(COMPILING)
-            if not sys.stderr.isatty():
-                told = 0
-                while not self._ended.wait(_COMPILING_SAY_S):
-                    # The work after the compilation has words of its own.
-                    if len(compiled) > told:
-                        told = len(compiled)
-                        say(self._words(compiled))
-                return
-            with err().status(self._words(compiled)) as status:
-                while not self._ended.wait(_COMPILING_LOOK_S):
-                    status.update(self._words(compiled))
-
-    def _words(self, compiled: list[str]) -> str:
-        elapsed_s = time.monotonic() - self._began
-        return f"compiling: {elapsed_s:.0f} s, {len(compiled)} functions, now {compiled[-1]}"
-
-
 @contextmanager
-def _counted_compilations() -> Iterator[list[str]]:
-    """The names of the functions that numba begins to compile inside the `with`."""
+def compiling() -> Iterator[None]:
+    """Around the first use of the laws: says on stderr that they are compiled when it takes longer than a moment."""
     from ptnsbc_core.kernel import COMPILED
 
-    names: list[str] = []
-    if not COMPILED:
-        yield names
+    if not COMPILED:  # interpreted
+        yield
         return
     from numba.core import event
 
-    class Named(event.Listener):
-        def on_start(self, one: Any) -> None:
-            names.append(one.data["dispatcher"].py_func.__name__)
+    begin_s, compiled, status = time.monotonic(), 0, ExitStack()
+    shown: Status | None = None
 
-        def on_end(self, one: Any) -> None:
+    class Watch(event.Listener):
+        def on_start(self, event: Any) -> None:
+            nonlocal compiled, shown
+            compiled += 1
+            passed_s = time.monotonic() - begin_s
+            if passed_s < _PATIENCE_S:
+                return
+            say_once(COMPILING)
+            if sys.stderr.isatty():
+                name = event.data["dispatcher"].py_func.__name__
+                line = f"compiling: {passed_s:.0f} s, {compiled} functions, now {name}"
+                shown = shown or status.enter_context(err().status(line))
+                shown.update(line)
+
+        def on_end(self, event: Any) -> None:
             pass
 
-    listener = Named()
-    event.register("numba:compile", listener)
+    with status, event.install_listener("numba:compile", Watch()):
+        yield
+
+
+@contextmanager
+def patience(line: str) -> Iterator[None]:
+    """Around work without progress: prints `line` on stderr when it takes longer than a moment."""
+    timer = threading.Timer(_PATIENCE_S, say, (line,))
+    timer.daemon = True
+    timer.start()
     try:
-        yield names
+        yield
     finally:
-        event.unregister("numba:compile", listener)
+        timer.cancel()
 
 
 @cache

@@ -9,7 +9,7 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,37 +30,28 @@ _TRANSPORTS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTA
 Findings = Iterator[Finding]
 
 
+def _finding(key: str, value: str, limit: str, advice: str, severity: str = WARNING) -> Finding:
+    """What was found; of the severity where there is something to change, else good to know."""
+    return Finding(severity if advice else INFO, key, value, limit, advice)
+
+
 def _python() -> Findings:
-    found = sys.version_info[:2]
-    good = _LEAST_PYTHON <= found < _NEXT_PYTHON and platform.system() == "Linux"
+    good = _LEAST_PYTHON <= sys.version_info[:2] < _NEXT_PYTHON and platform.system() == "Linux"
     value = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
-    yield Finding(
-        INFO if good else ERROR,
-        "platform",
-        value,
-        "Linux, Python 3.10 to 3.13",
-        "" if good else "make setup PYTHON=python3.12",
-    )
+    advice = "" if good else "make setup PYTHON=python3.12"
+    yield _finding("platform", value, "Linux, Python 3.10 to 3.13", advice, ERROR)
 
 
 def _cores() -> Findings:
     count = len(os.sched_getaffinity(0))
-    few = count < 4
-    yield Finding(
-        WARNING if few else INFO,
-        "cores",
-        str(count),
-        ">= 4 for a fleet in real time",
-        "fly in lock-step (--lockstep), or in one process (ptnsbc simulate)" if few else "",
+    advice = "fly in lock-step (--lockstep), or in one process (ptnsbc simulate)"
+    yield _finding(
+        "cores", str(count), ">= 4 for a fleet in real time", advice if count < 4 else ""
     )
     late = sorted(_lateness_ms() for _ in range(_WAKES))[int(0.95 * _WAKES)]
-    yield Finding(
-        WARNING if late > _LATE_MS else INFO,
-        "timers",
-        f"{late:.2f} ms late, 95 % of {_WAKES}",
-        f"<= {_LATE_MS:g} ms",
-        "end other programs, or fly in lock-step" if late > _LATE_MS else "",
-    )
+    value, limit = f"{late:.2f} ms late, 95 % of {_WAKES}", f"<= {_LATE_MS:g} ms"
+    advice = "end other programs, or fly in lock-step" if late > _LATE_MS else ""
+    yield _finding("timers", value, limit, advice)
 
 
 def _lateness_ms() -> float:
@@ -78,29 +69,16 @@ def _middleware() -> Findings:
 
             name = str(get_rmw_implementation_identifier())
     except PtnsbcError as error:
-        yield Finding(
-            WARNING, "middleware", str(error), "rclpy", "only check, simulate and verify work"
-        )
+        yield _finding("middleware", str(error), "rclpy", "only check, simulate and verify work")
         return
-    place = Path(rclpy.__file__).parents[1]
-    ours = name == "rmw_fastrtps_cpp"
-    yield Finding(
-        INFO if ours else WARNING,
-        "middleware",
-        f"{name}, rclpy from {place}",
-        "rmw_fastrtps_cpp, which is tested",
-        "" if ours else "unset RMW_IMPLEMENTATION",
-    )
+    value = f"{name}, rclpy from {Path(rclpy.__file__).parents[1]}"
+    advice = "" if name == "rmw_fastrtps_cpp" else "unset RMW_IMPLEMENTATION"
+    yield _finding("middleware", value, "rmw_fastrtps_cpp, which is tested", advice)
     given = {key: os.environ[key] for key in _TRANSPORTS if os.environ.get(key)}
     shown = ", ".join(f"{key}={value}" for key, value in given.items()) or "nothing set"
     wide = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
-    yield Finding(
-        WARNING if wide else INFO,
-        "discovery",
-        shown,
-        "this host alone, unless --network",
-        "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else "",
-    )
+    advice = "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else ""
+    yield _finding("discovery", shown, "this host alone, unless --network", advice)
     yield _domain()
 
 
@@ -118,8 +96,7 @@ def _clock() -> Findings:
     # The kernel says whether something keeps the clock right; a fleet on one host does not need it.
     state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     good = state not in (-1, _UNSYNCHRONISED)
-    yield Finding(
-        INFO if good else WARNING,
+    yield _finding(
         "clock",
         "synchronised" if good else "not synchronised, says the kernel",
         "synchronised, for fleets on several computers",
@@ -142,14 +119,9 @@ def _cache() -> Findings:
 
 def _disk() -> Findings:
     free = shutil.disk_usage(Path.cwd()).free
-    few = free < _LEAST_FREE_B
-    yield Finding(
-        WARNING if few else INFO,
-        "disk",
-        f"{free / 1e9:.1f} GB free here",
-        f">= {_LEAST_FREE_B / 1e9:g} GB",
-        "record elsewhere: --bag DIR" if few else "",
-    )
+    value, limit = f"{free / 1e9:.1f} GB free here", f">= {_LEAST_FREE_B / 1e9:g} GB"
+    advice = "record elsewhere: --bag DIR" if free < _LEAST_FREE_B else ""
+    yield _finding("disk", value, limit, advice)
 
 
 def _libraries() -> Findings:
@@ -164,7 +136,7 @@ def _libraries() -> Findings:
 
 
 def ports(scenario: Scenario) -> Findings:
-    """True if the ports on which the bridges of a scenario listen are free."""
+    """The ports on which the bridges of a scenario listen, free or not."""
     for uav in scenario.uav_ids:
         connect = scenario.vehicle_link(uav).connect
         kind, _, rest = connect.partition(":")
@@ -181,20 +153,10 @@ def ports(scenario: Scenario) -> Findings:
             yield Finding(INFO, f"port of UAV {uav}", f"{rest} is free", "free", "")
 
 
-_LOOKS: Sequence[Callable[[], Findings]] = (
-    _python,
-    _cores,
-    _middleware,
-    _clock,
-    _cache,
-    _disk,
-    _libraries,
-)
-
-
 def examine(scenario: Scenario | None = None) -> list[Finding]:
     """The findings, errors first; with a scenario the ports of its bridges too."""
-    found = [finding for look in _LOOKS for finding in look()]
+    looks = (_python, _cores, _middleware, _clock, _cache, _disk, _libraries)
+    found = [finding for look in looks for finding in look()]
     found += ports(scenario) if scenario is not None else ()
     rank = {ERROR: 0, WARNING: 1, INFO: 2}
     return sorted(found, key=lambda one: rank[one.severity])

@@ -107,9 +107,7 @@ def full_namespace(given: str) -> str:
 ScenarioArgument = Annotated[
     str,
     argument(
-        "SCENARIO",
-        "A scenario file, or a name such as paper_5.",
-        autocompletion=scenario_names,
+        "SCENARIO", "A scenario file, or a name such as paper_5.", autocompletion=scenario_names
     ),
 ]
 SetOption = Annotated[
@@ -165,10 +163,7 @@ DomainOption = Annotated[
 FlyingDomainOption = Annotated[
     int | None,
     option(
-        "--domain N",
-        "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
-        0,
-        LAST_DOMAIN,
+        "--domain N", "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.", 0, LAST_DOMAIN
     ),
 ]
 
@@ -214,8 +209,7 @@ class FlightChoices(Choices):
     """The same of one flight: its random numbers, its length and its legs too."""
 
     seed: Annotated[
-        int | None,
-        option("--seed N", "Seed of all random disturbances: noise, gusts, losses.", 0),
+        int | None, option("--seed N", "Seed of all random disturbances: noise, gusts, losses.", 0)
     ] = None
     duration: DurationOption = None
     mission: Annotated[
@@ -247,8 +241,7 @@ class Reading:
     """Options of reading and judging a bag."""
 
     scenario: Annotated[
-        Path | None,
-        option("--scenario FILE", "Use this file and not the attached scenario."),
+        Path | None, option("--scenario FILE", "Use this file and not the attached scenario.")
     ] = None
     tolerance: Annotated[
         float | None,

@@ -44,6 +44,8 @@ LARGEST_RATE_RAD_S = 1e3
 LARGEST_FORCE_N = 1e6
 LARGEST_TORQUE_N_M = 1e6
 MOST_NEAR_OBJECTS = 1024
+_WRENCH_LIMITS = ("force", LARGEST_FORCE_N), ("torque", LARGEST_TORQUE_N_M)
+_VELOCITY_LIMITS = ("velocity", LARGEST_SPEED_M_S), ("angular velocity", LARGEST_RATE_RAD_S)
 
 _ODOMETRY = "nav_msgs/Odometry"
 _VELOCITY = "geometry_msgs/TwistStamped"
@@ -451,23 +453,21 @@ class OdometryDecoder:
 
 def checked_wrench(buf: bytes) -> Stamped:
     """`decode_wrench`; WireError for a force or torque that no vehicle produces."""
-    message = decode_wrench(buf)
-    x, y, z, p, q, r = message.values.tolist()
-    if not hypot(x, y, z) < LARGEST_FORCE_N:
-        raise _refuse(_WRENCH, "force", (x, y, z), LARGEST_FORCE_N)
-    if not hypot(p, q, r) < LARGEST_TORQUE_N_M:
-        raise _refuse(_WRENCH, "torque", (p, q, r), LARGEST_TORQUE_N_M)
-    return message
+    return _checked_pair(decode_wrench(buf), _WRENCH, _WRENCH_LIMITS)
 
 
 def checked_velocity(buf: bytes) -> Stamped:
     """`decode_velocity`; WireError for a velocity that no vehicle reaches."""
-    message = decode_velocity(buf)
-    x, y, z, p, q, r = message.values.tolist()
-    if not hypot(x, y, z) < LARGEST_SPEED_M_S:
-        raise _refuse(_VELOCITY, "velocity", (x, y, z), LARGEST_SPEED_M_S)
-    if not hypot(p, q, r) < LARGEST_RATE_RAD_S:
-        raise _refuse(_VELOCITY, "angular velocity", (p, q, r), LARGEST_RATE_RAD_S)
+    return _checked_pair(decode_velocity(buf), _VELOCITY, _VELOCITY_LIMITS)
+
+
+def _checked_pair(
+    message: Stamped, what: str, limits: tuple[tuple[str, float], tuple[str, float]]
+) -> Stamped:
+    numbers = message.values.tolist()
+    for vector, (quantity, limit) in zip((numbers[:3], numbers[3:]), limits, strict=True):
+        if not hypot(*vector) < limit:
+            raise _refuse(what, quantity, vector, limit)
     return message
 
 

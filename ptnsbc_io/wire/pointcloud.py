@@ -39,13 +39,6 @@ _STEP = 4 * len(NEAR_FIELDS)
 _LARGEST_STEP = 1 << 16  # bytes of a point
 
 
-class _Prefix(NamedTuple):
-    """Everything before the points, for one frame."""
-
-    buffer: bytes
-    width_at: int
-
-
 class _Field(NamedTuple):
     name: str
     offset: int
@@ -78,22 +71,20 @@ _OUR_TABLE = _our_table()
 
 
 @lru_cache(maxsize=64)
-def _prefix(frame_id: str) -> _Prefix:
+def _prefix(frame_id: str) -> bytes:
+    """Everything before the row step, for one frame, without stamp and width."""
     buffer = header_bytes(frame_id)
     pad(buffer, 4)
-    width_at = len(buffer) + 4
-    buffer += struct.pack("<II", 1, 0) + _OUR_TABLE
-    return _Prefix(bytes(buffer), width_at)
+    return bytes(buffer + struct.pack("<II", 1, 0) + _OUR_TABLE)
 
 
 def encode_near(stamp_ns: int, frame_id: str, rows: Floats) -> bytes:
     """PointCloud2 of `rows` (M, 7): x y z radius [m], vx vy vz [m/s]; rounded to float32."""
     if rows.ndim != 2 or rows.shape[1] != len(NEAR_FIELDS):
         raise WireError(f"{_WHAT}: rows of shape {rows.shape}: expected (M, 7)")
-    prefix = _prefix(frame_id)
-    buffer = bytearray(prefix.buffer)
+    buffer = bytearray(_prefix(frame_id))
     write_stamp(buffer, stamp_ns)
-    struct.pack_into("<I", buffer, prefix.width_at, len(rows))
+    struct.pack_into("<I", buffer, len(buffer) - len(_OUR_TABLE) - 4, len(rows))  # the width
     points = rows.astype("<f4").tobytes()
     buffer += struct.pack("<II", len(points), len(points))  # row_step, length of data
     buffer += points

@@ -134,8 +134,7 @@ def trim(
         option("--from S", "Keep messages from here on, after the first one.", 0.0, LONGEST_S),
     ] = 0.0,
     end: Annotated[
-        float | None,
-        option("--to S", "Keep messages up to here. Default: all.", 0.0, LONGEST_S),
+        float | None, option("--to S", "Keep messages up to here. Default: all.", 0.0, LONGEST_S)
     ] = None,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
@@ -173,17 +172,14 @@ def record(
     topics: Annotated[
         list[str] | None,
         option(
-            "--topics PATTERN",
-            "Names with * and ?, repeatable. Default: all topics of a flight.",
+            "--topics PATTERN", "Names with * and ?, repeatable. Default: all topics of a flight."
         ),
     ] = None,
     scenario: Annotated[
-        str | None,
-        option("--scenario SCENARIO", "Scenario that is flown, to attach to the bag."),
+        str | None, option("--scenario SCENARIO", "Scenario that is flown, to attach to the bag.")
     ] = None,
     split_size: Annotated[
-        float | None,
-        option("--split-size MB", "Start another file at this size.", 1.0, LARGEST_MB),
+        float | None, option("--split-size MB", "Start another file at this size.", 1.0, LARGEST_MB)
     ] = None,
     split_duration: Annotated[
         float | None,
@@ -242,16 +238,12 @@ class Playing:
     ] = 0.0
     loop: Annotated[bool, option("--loop", "--publish: repeat until Ctrl-C.")] = False
     topics: Annotated[
-        list[str] | None,
-        option("--topics PATTERN", "--publish: names with * and ?, repeatable."),
+        list[str] | None, option("--topics PATTERN", "--publish: names with * and ?, repeatable.")
     ] = None
     clock_hz: Annotated[
         float | None,
         option(
-            "--clock HZ",
-            "--publish: also publish the time of the bag on /clock.",
-            0.1,
-            FASTEST_HZ,
+            "--clock HZ", "--publish: also publish the time of the bag on /clock.", 0.1, FASTEST_HZ
         ),
     ] = None
     wait_s: Annotated[
@@ -276,8 +268,7 @@ def replay(
     law: Annotated[
         str | None,
         option(
-            "--law FILE.py:NAME",
-            "--rerun: execute this law, of a bag whose scenario names one.",
+            "--law FILE.py:NAME", "--rerun: execute this law, of a bag whose scenario names one."
         ),
     ] = None,
     plugin: Annotated[

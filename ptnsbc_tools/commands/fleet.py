@@ -226,8 +226,7 @@ def _objection(scenario: Scenario) -> str:
 
 def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
     from ptnsbc_nodes.fleet.fleet import run_fleet
-    from ptnsbc_tools.live.beside import Viewing
-    from ptnsbc_tools.live.dashboard import Dashboard
+    from ptnsbc_tools.live.dashboard import Dashboard, Viewing
 
     page, foxglove, dashboard = False, None, None
     if views is not None:

@@ -254,8 +254,7 @@ def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
 
 def view(
     scenario: Annotated[
-        str | None,
-        argument("[SCENARIO]", "What is flown. Default: as a UAV of the fleet says."),
+        str | None, argument("[SCENARIO]", "What is flown. Default: as a UAV of the fleet says.")
     ] = None,
     domain: Annotated[
         int | None,

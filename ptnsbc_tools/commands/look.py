@@ -14,7 +14,7 @@ from ptnsbc_tools import console
 from ptnsbc_tools.options import BagArgument, JsonOption, PictureOption, Reading, argument, option
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.plotting.flight import FlightView
+    from ptnsbc_tools.plotting.charts import FlightView
 
 _NO_VERDICT = 1
 _ALL = "all"
@@ -120,7 +120,7 @@ def plot(
     from mimetypes import guess_type
 
     from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.flight import read_view
+    from ptnsbc_tools.plotting.charts import read_view
 
     keys = _keys(what)
     one = out is not None and out.suffix.lower() in draw.FORMATS

@@ -56,8 +56,7 @@ class Vehicle:
         ),
     ] = None
     signing_key: Annotated[
-        Path | None,
-        option("--signing-key FILE", "Key for signing. Default: as in the scenario."),
+        Path | None, option("--signing-key FILE", "Key for signing. Default: as in the scenario.")
     ] = None
     allow_arming: AllowArmingOption = False
     settings: SetOption = None
@@ -90,8 +89,7 @@ def tune(
         bool, option("--alike", "Write the result for all vehicles with the same autopilot.")
     ] = False,
     output: Annotated[
-        Path | None,
-        option("--output -o FILE", "Scenario file to write, which extends SCENARIO."),
+        Path | None, option("--output -o FILE", "Scenario file to write, which extends SCENARIO.")
     ] = None,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
     json: JsonOption = False,
@@ -110,12 +108,7 @@ def tune(
         raise TuneFileError(f"{output}: exists: choose another name, or --overwrite")
     uav, flown = vehicle.uav, vehicle.flown()
     found = fly_hover_test(
-        flown,
-        uav,
-        vehicle.signing_key,
-        console.say,
-        allow_arming=vehicle.allow_arming,
-        box_m=box,
+        flown, uav, vehicle.signing_key, console.say, allow_arming=vehicle.allow_arming, box_m=box
     )
     fits = fitting(flown, found)
     for line in _lines(flown, found, fits):
@@ -235,26 +228,20 @@ class StandIns:
     origin_spread: Annotated[
         float,
         option(
-            "--origin-spread M",
-            "Distance of the local origins from each other.",
-            0.0,
-            _FARTHEST_M,
+            "--origin-spread M", "Distance of the local origins from each other.", 0.0, _FARTHEST_M
         ),
     ] = 0.0
     yaw: Annotated[
-        float | None,
-        option("--yaw DEG", "ENU yaw at boot. Default: random.", -360.0, 360.0),
+        float | None, option("--yaw DEG", "ENU yaw at boot. Default: random.", -360.0, 360.0)
     ] = None
     battery: Annotated[
         float, option("--battery SHARE", "Charge at the start, 0 to 1.", 0.0, 1.0)
     ] = 1.0
     boot_time: Annotated[
-        float,
-        option("--boot-time X", "Factor for the time until the position is valid.", 0.0),
+        float, option("--boot-time X", "Factor for the time until the position is valid.", 0.0)
     ] = 1.0
     parameters: Annotated[
-        list[str] | None,
-        option("--param NAME=VALUE", "Value of a parameter. Repeatable."),
+        list[str] | None, option("--param NAME=VALUE", "Value of a parameter. Repeatable.")
     ] = None
     seed: Annotated[int, option("--seed N", "Seed of errors, yaws and origins.", 0)] = 1
 

@@ -19,7 +19,7 @@ from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
 from ptnsbc_tools.library.optional import required
-from ptnsbc_tools.plotting.flight import FlightView, view_of
+from ptnsbc_tools.plotting.charts import FlightView, view_of
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
 

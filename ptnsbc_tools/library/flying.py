@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
@@ -30,17 +30,23 @@ class FlightFailedError(PtnsbcError):
     """A fleet that did not fly to the end."""
 
 
-def load(scenario: str | Path | Mapping[str, Any], /, **keys: Any) -> Scenario:
+ScenarioLike: TypeAlias = Scenario | str | Path | Mapping[str, Any]
+"""What every function takes as a scenario: see `load`."""
+
+
+def load(scenario: ScenarioLike, /, **keys: Any) -> Scenario:
     """A scenario: a shipped one by name, a file by path, or a mapping with the keys of a file.
 
     Args:
-        scenario: `"paper_5"`, a path, or a mapping such as `{"extends": "paper_5", "seed": 3}`.
+        scenario: `"paper_5"`, a path, a mapping such as `{"extends": "paper_5", "seed": 3}`, or a scenario.
         keys: dotted keys to set, as in `load("paper_5", **{"timing.duration_s": 8})`.
 
     Raises:
         ScenarioError: no such file, or a file that describes no flight; it names key, value and expectation.
     """
     given = {key: reader.plain(value) for key, value in keys.items()}
+    if isinstance(scenario, Scenario):
+        return scenario.with_(given) if given else scenario
     if not isinstance(scenario, Mapping):
         return load_scenario(scenario, given)
     return scenario_from_text(
@@ -72,7 +78,7 @@ class CheckReport:
 
 
 def check(
-    scenario: Scenario, *, dry_runs: int = DRY_RUNS, progress: bool | None = None
+    scenario: ScenarioLike, *, dry_runs: int = DRY_RUNS, progress: bool | None = None
 ) -> CheckReport:
     """Check a scenario before a flight, as `ptnsbc check`: by closed forms, then by dry runs.
 
@@ -81,6 +87,7 @@ def check(
         dry_runs: perturbed flights, when the rest finds no error; 0: no dry run.
         progress: show progress on stderr; by default in a terminal and in a notebook.
     """
+    scenario = load(scenario)
     with console.compiling():
         findings = findings_of(scenario)
     if dry_runs and all(finding.severity != ERROR for finding in findings):
@@ -98,7 +105,7 @@ def flown_before(
         return flown(scenario, runs, advance)
 
 
-def fly(scenario: Scenario, *, checked: bool = True, progress: bool | None = None) -> Flight:
+def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None = None) -> Flight:
     """Fly a scenario in this process, as `ptnsbc simulate`; the same scenario gives the same bytes.
 
     The first flight after an installation compiles the laws, which takes a minute or more.
@@ -112,6 +119,7 @@ def fly(scenario: Scenario, *, checked: bool = True, progress: bool | None = Non
         CheckError: the pre-flight check refuses the scenario.
         ScenarioError: the flight does not fit into the memory of this computer.
     """
+    scenario = load(scenario)
     refuse_without_memory(scenario)
     if checked:
         report = check(scenario, dry_runs=0)
@@ -177,7 +185,7 @@ def verdict(flight: Flight, tolerance_m: float | None = None) -> Verdict:
 
 
 def fly_fleet(
-    scenario: Scenario,
+    scenario: ScenarioLike,
     *,
     lockstep: bool = False,
     bag: str | Path | None = None,
@@ -200,6 +208,7 @@ def fly_fleet(
         RosMissingError: ROS 2 is not installed.
         FlightFailedError: a process ended in flight, or Ctrl-C ended it.
     """
+    scenario = load(scenario)
     if checked:
         check(scenario, dry_runs=0).refuse()
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc.fly"):

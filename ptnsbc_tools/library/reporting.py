@@ -14,7 +14,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight
-from ptnsbc_tools.plotting.flight import FlightView, read_view
+from ptnsbc_tools.plotting.charts import FlightView, read_view
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions
 
 if TYPE_CHECKING:  # half the memory of an export of a flight

@@ -24,7 +24,7 @@ from ptnsbc_sim.sweep.runner import TABLE
 from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, new_axes
-from ptnsbc_tools.library.flying import fly
+from ptnsbc_tools.library.flying import ScenarioLike, fly, load
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
@@ -199,7 +199,7 @@ def fly_plan(
 
 
 def sweep(
-    scenario: Scenario,
+    scenario: ScenarioLike,
     runs: int = 200,
     *,
     vary: Mapping[str, str] | Sequence[str] = (),
@@ -233,7 +233,7 @@ def sweep(
         SweepError: a draw that cannot be, another sweep in the folder, or no draw could be flown.
     """
     flown = plan(
-        scenario,
+        load(scenario),
         runs,
         vary=vary,
         starts=starts,

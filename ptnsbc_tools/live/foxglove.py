@@ -84,8 +84,7 @@ class FoxgloveSink:
         x, y, z = map(float, place)
         return kinds.SpherePrimitive(
             pose=kinds.Pose(
-                position=kinds.Vector3(x=x, y=y, z=z),
-                orientation=kinds.Quaternion(w=1.0),
+                position=kinds.Vector3(x=x, y=y, z=z), orientation=kinds.Quaternion(w=1.0)
             ),
             size=kinds.Vector3(x=diameter, y=diameter, z=diameter),
             color=kinds.Color(**dict(zip("rgba", colour, strict=True))),

@@ -15,10 +15,8 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario import Obstacle
 from ptnsbc_sim.verdict.recording import Recording, tolerance_of
-from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look
-from ptnsbc_tools.plotting.charts import errors
-from ptnsbc_tools.plotting.flight import FlightView
-from ptnsbc_tools.plotting.thin import thin
+from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look, thin
+from ptnsbc_tools.plotting.charts import FlightView, errors
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 
 FORMATS = (".png", ".svg", ".pdf")

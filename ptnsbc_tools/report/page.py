@@ -1,7 +1,15 @@
-"""The page: verdict and tables as plain HTML; its script draws the rest."""
+"""The page of `ptnsbc report`: facts and tables in HTML, and the data of its script: the flight in space, the figures.
+
+The data are one gzip stream in base64: uint32 length of the text | JSON text, UTF-8, padded to 4 bytes | float32,
+little-endian. A reference [offset, length] stands for each array in the text.
+"""
 
 from __future__ import annotations
 
+import base64
+import gzip
+import json
+import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -10,14 +18,233 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from ptnsbc_sim.verdict import Verdict
+from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.mission.shapes import moves
+from ptnsbc_sim.verdict import Series, Track, Verdict
+from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_sim.verdict.verdict import LegVerdict
-from ptnsbc_tools.plotting.flight import FlightView
-from ptnsbc_tools.report.content import compressed, content
+from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look, overlaid, thin
+from ptnsbc_tools.plotting.charts import FlightView, charts, deadlines
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
+
+_FRAME_HZ = 25  # the script interpolates between frames
+_MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
+_MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
+_CURVE_POINTS = 2000
+_PATH_POINTS = 400
+_WITHOUT_END_M = 100.0  # of planes and endless cylinders
+_OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that moves
+
+
+class Pack:
+    """Collects arrays and puts a reference in the place of each."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._floats = 0
+
+    def add(self, values: Array) -> list[int]:
+        """The reference to `values` (any shape, rows first), in floats."""
+        raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
+        reference = [self._floats, len(raw) // 4]
+        self._parts.append(raw)
+        self._floats += reference[1]
+        return reference
+
+    def encode(self, text: dict[str, Any]) -> str:
+        """The pack of `text` and all arrays."""
+        head = json.dumps(text, allow_nan=False, separators=(",", ":")).encode()
+        head += b" " * (-len(head) % 4)
+        return compressed(struct.pack("<I", len(head)) + head + b"".join(self._parts))
+
+
+def compressed(data: bytes) -> str:
+    """Gzip in base64, without the time of day."""
+    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
+
+
+def content(flight: FlightView, other: FlightView | None = None) -> str:
+    """The pack of a flight; the curves of `other` beside its own."""
+    pack = Pack()
+    text: dict[str, Any] = {
+        "colours": {"light": COLOURS, "dark": DARK_COLOURS},
+        "space": _space(flight, pack) if flight.uavs and flight.samples > 1 else None,
+        "charts": _charts(flight, other, pack),
+    }
+    return pack.encode(text)
+
+
+def _frames(flight: FlightView) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Evenly spaced instants [ns] from the first to the last shown."""
+    first, last = flight.window_ns
+    most = max(_MOST_POSES // len(flight.uavs), 2)
+    count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
+    return first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
+
+
+def _poses(flight: FlightView, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
+    """Position and quaternion (F, N, 7) of every UAV."""
+    tracks = (flight.recording.odometry[uav] for uav in flight.uavs)
+    return np.stack([_poses_of(track, stamps) for track in tracks], axis=1)
+
+
+def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
+    """Position and quaternion (F, 7) of one UAV."""
+    found = []
+    before, done = Series(np.empty(0, np.int64), np.empty((0, 7))), 0
+    for block in odometry.blocks():
+        poses = np.concatenate((before.values, block.values[:, :7]))
+        near = Series(np.concatenate((before.t_ns, block.t_ns)), _same_signs(poses))
+        last = block.last_ns == odometry.last_ns
+        until = stamps.size if last else int(np.searchsorted(stamps, block.last_ns, side="right"))
+        if until > done:
+            found.append(near.at(stamps[done:until]))
+        before, done = near.rows(near.size - 1, near.size), until
+    return np.concatenate(found)
+
+
+def _same_signs(poses: Array) -> Array:
+    """Poses (T, 7) whose quaternions do not change sign: the mean of q and -q is zero."""
+    turns = poses[:, 3:]
+    flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
+    turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return poses
+
+
+def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
+    scenario = flight.scenario
+    stamps = _frames(flight)
+    t = flight.times(stamps)
+    vector = leader_trajectory(scenario)
+    path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
+    path = np.stack([reference(vector, float(one)).position for one in path_t])
+    return {
+        "t": pack.add(t),
+        "poses": pack.add(_poses(flight, stamps)),
+        "path": pack.add(path),
+        "legs": _legs(flight, t),
+        "deadlines": [mark.t for mark in deadlines(flight)],
+        "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
+        "obstacles": obstacles_of(
+            scenario, (flight.recording.start_ns - flight.recording.first_ns) * NANO
+        ),
+    }
+
+
+def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any]]:
+    """The obstacles as the page's script draws them, at times from `begin_s` after the first epoch on."""
+    count = min(int(scenario.timing.duration_s * _OBSTACLE_HZ) + 2, _MOST_WAY_POINTS)
+    times = np.linspace(0.0, scenario.timing.duration_s, count)
+    found = []
+    for one in scenario.world.bodies:
+        way = None
+        if one.path is not None:
+            places = np.round(one.motion(times).positions, 4).tolist()
+            way = {"t": np.round(times - begin_s, 4).tolist(), "places": places}
+        found.append(
+            {
+                "name": one.name,
+                "kind": "half_space" if one.kind == "ground" else one.kind,
+                "place": one.position.tolist(),
+                "way": way,
+                "keepOut": float(one.keep_out_m),
+                "half": (0.5 * one.drawn(_WITHOUT_END_M).size).tolist(),
+                "axes": one.axes.ravel().tolist(),
+            }
+        )
+    return found
+
+
+def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:
+    """Begin [s] and name of every leg after the judged one."""
+    epochs = flight.recording.epochs
+    begun = [((t0_ns - flight.recording.start_ns) * NANO, leg) for t0_ns, leg in epochs]
+    return [(begin, leg) for begin, leg in begun if 0 < begin <= float(t[-1])]
+
+
+def _moving_places(
+    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
+) -> list[int] | None:
+    """Places (F, 3) of a UAV beside the leader at every instant; None where they stand still."""
+    scenario = flight.scenario
+    if not moves(scenario.formation) or uav == scenario.leader.id:
+        return None
+    times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
+    return pack.add(places_beside_leader(scenario, uav, times))
+
+
+def _uav(
+    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
+) -> dict[str, Any]:
+    return {
+        **uav_of(flight.scenario, uav),
+        "places": _moving_places(flight, uav, stamps, pack),
+        "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
+        "deadlocks": [flight.seconds(window) for window in flight.deadlocks(uav)],
+    }
+
+
+def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
+    """A UAV as the page's script draws it: what does not change in a flight."""
+    leader = uav == scenario.leader.id
+    style = look(scenario.uav_ids.index(uav))
+    return {
+        "id": uav,
+        "keepOut": scenario.keep_out_m(uav),
+        "leader": leader,
+        "parent": scenario.communication.parent(uav),
+        "offset": None if leader else scenario.offset(uav).tolist(),
+        "colour": style.colour,
+        "dash": style.dash,
+    }
+
+
+def _charts(flight: FlightView, other: FlightView | None, pack: Pack) -> list[dict[str, Any]]:
+    found = list(charts(flight))
+    if other is not None:
+        found = overlaid(found, list(charts(other)), f"flight {other.name}")
+    curves = max(sum(len(chart.curves) for chart in found), 1)
+    points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
+    return [_chart(chart, pack, points) for chart in found]
+
+
+def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
+    curves = []
+    for curve in chart.curves:
+        kept = thin(curve.t, curve.values, points)
+        curves.append(
+            {
+                "label": curve.label,
+                "uavs": curve.uavs,
+                "colour": curve.look.colour,
+                "dash": curve.look.dash,
+                "other": curve.other,
+                "t": pack.add(kept.t),
+                "values": pack.add(kept.values),
+            }
+        )
+    return {
+        "key": chart.key,
+        "title": chart.title,
+        "unit": chart.unit,
+        "log": chart.log,
+        "note": chart.note,
+        "band": chart.band,
+        "bandLabel": chart.band_label,
+        "limits": [[one.value, one.label] for one in chart.limits],
+        "marks": [[one.t, one.label] for one in chart.marks],
+        "spans": [[one.begin, one.end] for one in chart.spans],
+        "spansLabel": chart.spans_label,
+        "curves": curves,
+    }
+
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
 _NO_VERDICT = "none"

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.plotting.charts import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 

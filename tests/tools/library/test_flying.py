@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from ptnsbc_tools.check import CheckError
 from ptnsbc_tools.library.flying import check, fly, load, read_bag, verdict
 
 QUICK = {"timing.duration_s": 1.2, "gains.formation.deadline_s": 0.9}
+QUICK_KEYS = {"timing": {"duration_s": 1.2}, "gains": {"formation": {"deadline_s": 0.9}}}
 
 
 def test_a_mapping_is_a_scenario_file() -> None:
@@ -43,6 +46,19 @@ def test_the_check_says_ok_or_refuses() -> None:
     assert not bad.ok
     with pytest.raises(CheckError, match=r"deadline_s: 2 s"):
         bad.refuse()
+
+
+@pytest.mark.parametrize(
+    "named", ["paper_5", Path("scenarios/paper_5.yaml"), {"extends": "paper_5"}]
+)
+def test_every_function_takes_what_load_takes(named: str | Path | dict[str, str]) -> None:
+    assert check(named, dry_runs=0).findings == check(load("paper_5"), dry_runs=0).findings
+    flown = (
+        {"extends": str(named), **QUICK_KEYS} if isinstance(named, str) else load(named, **QUICK)
+    )
+    assert fly(flown, checked=False).scenario.timing.duration_s == 1.2
+    with pytest.raises(ScenarioError, match="paper_55"):
+        fly("paper_55")
 
 
 def test_a_flight_is_refused_or_flown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,21 +1,34 @@
-"""The orders of people at a page, without a fleet: what is asked, what reaches the server, what becomes of it."""
+"""The process of a viewer, and the stage of its page."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from chromium import chromium
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.live.feed import Feed
-from ptnsbc_tools.live.page import live_page
-from ptnsbc_tools.live.server import ORDERS, LiveServer
-from ptnsbc_tools.live.stage import stage
+from ptnsbc_tools.live.server import ORDERS, Feed, LiveServer, live_page
+from ptnsbc_tools.live.watch import stage
+
+
+def test_it_is_json_and_has_every_uav_and_obstacle() -> None:
+    scenario = load_scenario("paper_5")
+    found = json.loads(json.dumps(stage(scenario), allow_nan=False))
+    space = found["space"]
+    assert [uav["id"] for uav in space["uavs"]] == list(scenario.uav_ids)
+    assert len(space["obstacles"]) == len(scenario.world.bodies)
+    assert len(found["starts"]) == len(scenario.uav_ids)
+    low, high = map(np.array, space["bounds"])
+    path = np.array(space["path"]).reshape(-1, 3)
+    assert (low <= path).all() and (path <= high).all()
+
 
 SCENARIO = load_scenario("paper_5")
 

@@ -12,8 +12,7 @@ from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Series
-from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts
-from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts, view_of
 from ptnsbc_tools.reading.diagnostics import StatusCollector, StatusSeries
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from ptnsbc_io.files import OutputFileError
 from ptnsbc_tools.plotting import draw
-from ptnsbc_tools.plotting.charts import errors
-from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.plotting.charts import errors, view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 
 
