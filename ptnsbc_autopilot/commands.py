@@ -66,7 +66,8 @@ def _arm(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int
     if wanted not in (0, 1):
         return int(_DENIED)
     if wanted == 0:
-        if vehicle.armed and not vehicle.in_contact and not force:
+        flies = not vehicle.in_contact or vehicle.faults.takeoff_detected
+        if vehicle.armed and flies and not force:
             vehicle.send_text("Disarming denied: not landed", t)
             return vehicle.refusal
         if vehicle.armed:

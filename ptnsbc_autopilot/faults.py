@@ -50,6 +50,10 @@ def _arming(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.refuse_arming = not _choice(word, "refuse", "allow", "arming")
 
 
+def _takeoff(vehicle: StandInVehicle, word: str, _t: float) -> None:
+    vehicle.faults.takeoff_detected = _choice(word, "real", "detected", "takeoff")
+
+
 def _duplicate(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.duplicate = _choice(word, "off", "on", "duplicate")
 
@@ -80,6 +84,7 @@ FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "heartbeat": _heartbeat,
     "radio": _radio,
     "arming": _arming,
+    "takeoff": _takeoff,
     "duplicate": _duplicate,
     "battery": _battery,
     "clock": lambda vehicle, word, _t: vehicle.clock.jump(_number(word, "clock")),

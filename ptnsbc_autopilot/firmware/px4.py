@@ -242,7 +242,8 @@ class Px4(FlightController):
         if self._takeoff.update(self.in_contact, self.landed):
             self.log("landed")
         waits_s, stands_s = self.parameters["COM_DISARM_PRFLT"], self.parameters["COM_DISARM_LAND"]
-        if not self.lifted and 0.0 < waits_s < t - self.armed_t:
+        waits = not (self.lifted or self.faults.takeoff_detected)
+        if waits and 0.0 < waits_s < t - self.armed_t:
             self.disarm("not taken off in time", t)
         elif self.lifted and self.landed and 0.0 < stands_s < self.flight.standing_s - 1.0:
             self.disarm("landed", t)

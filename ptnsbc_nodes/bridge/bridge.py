@@ -15,6 +15,7 @@ from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
     AWAY_S,
     BEFORE_ARMING,
+    LIFTED_M,
     Companion,
     Step,
     Stream,
@@ -97,6 +98,12 @@ class Bridge:
             self.state_publisher.height_m,
         )
 
+    @property
+    def fate(self) -> str:
+        """The behaviour of the armed vehicle when this bridge is silent."""
+        stands = self.procedure.highest_m < LIFTED_M
+        return "it stands on the ground, its rotors turn" if stands else self.maintenance.fate
+
     def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
         return self.watch.reference.flight_s(self.ports.clocks.ros_ns())
@@ -143,7 +150,13 @@ class Bridge:
     def _tick(self, now_s: float) -> None:
         """One period of the stream."""
         procedure, stream, publisher = self.procedure, self.stream, self.state_publisher
-        self._take_inputs()
+        inputs = self.ports.inputs
+        data, inputs.setpoint = inputs.setpoint, None
+        if data is not None:
+            publisher.controller.on_message(data)
+        self.watch.reference.update(inputs)
+        while inputs.companions:
+            self.placement.companions.report(*inputs.companions.pop(0))
         self.maintenance.ignore_repetitions(now_s)
         publisher.update_world()
         self._take_parameters(now_s)
@@ -171,15 +184,6 @@ class Bridge:
         self.maintenance.urgent = procedure.step is Step.KILL
         healthy = procedure.step is not Step.FAILED
         self.maintenance.send_due(now_s, healthy, publisher.clock_jumped(now_s))
-
-    def _take_inputs(self) -> None:
-        inputs = self.ports.inputs
-        data, inputs.setpoint = inputs.setpoint, None
-        self.watch.reference.update(inputs)
-        while inputs.companions:
-            self.placement.companions.report(*inputs.companions.pop(0))
-        if data is not None:
-            self.state_publisher.controller.on_message(data)
 
     def _take_parameters(self, now_s: float) -> None:
         """Once all parameters are read: log them, warn, and fit limits and setpoints to the vehicle."""
@@ -255,5 +259,5 @@ class Bridge:
             climbs_first=placement.climbs_first() if before_arming or step is Step.ARMED else "",
             companion_out=placement.companions.out(),
             vehicle_warning=", ".join(filter(None, words)),
-            left_behind=f"armed{place} in {vehicle.mode_name or 'no mode'}: {maintenance.fate}",
+            left_behind=f"armed{place} in {vehicle.mode_name or 'no mode'}: {self.fate}",
         )

@@ -94,7 +94,7 @@ def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRec
         in_pilots_hands=procedure.in_pilots_hands,
         mode=vehicle.mode_name,
         place=bridge.placement.text,
-        fate=bridge.maintenance.fate if vehicle.armed else "",
+        fate=bridge.fate if vehicle.armed else "",
         fault=procedure.fault,
     )
 

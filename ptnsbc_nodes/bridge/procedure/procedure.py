@@ -51,6 +51,7 @@ _SETTLED_S = 1.0
 _APART_S = 5.0  # all are at their heights by then, at 1 m/s
 _DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
 _GROUNDED_S = 5.0
+_PLAIN_S, _LANDED_S, _FORCED_S = 0.5, 1.5, 2.0  # of a vehicle that does not disarm on the ground
 _REPEAT_S = 1.0  # an unconfirmed command is sent again after this time
 _REPEAT_KILL_S = 0.2
 
@@ -127,6 +128,8 @@ class Procedure:
         self.hold_tolerated_until_s = -math.inf
         self.stood_still_s = 0.0
         """The time for which this process itself has just stood still."""
+        self.highest_m = 0.0
+        """The largest height since it was armed; infinite if it has been unknown meanwhile."""
         self._advanced_s: float | None = None
         self._unprepared = ""
 
@@ -159,6 +162,8 @@ class Procedure:
         self.stood_still_s = paused_s if paused_s > STOP_S else 0.0
         self._advanced_s, self._unprepared = now.now_s, now.unprepared
         self.memory.since_s = min(self.memory.since_s, now.now_s)
+        height_m = math.inf if now.state_fault else now.height_m
+        self.highest_m = max(self.highest_m, height_m) if now.armed else 0.0
         for _ in Step:  # one snapshot may complete several steps
             following = _from_any_step(self, now) or _STATES[self.step].following(self, now)
             if following is None:
@@ -514,11 +519,18 @@ def _stream_and_command(
         Step.FAILSAFE: Stream.HOLD if recovered else Stream.NONE,
     }.get(step, Stream.NONE)
     may_arm = flight.allow_arming and not now.armed
+    disarm, age_s = CommandRequest.DISARM, memory.age_s(now.now_s)
+    if step is Step.DISARM and age_s >= _PLAIN_S and now.mode is not FlightMode.OTHER:
+        # A PX4 may take the setpoints on the ground for a take-off: then it wants to land first, or to be forced. It is
+        # forced only if it never left the ground, as far as the bridge has seen all the time.
+        disarm = CommandRequest.LAND if age_s < _LANDED_S else disarm
+        if age_s >= _FORCED_S and flight.highest_m < LIFTED_M:
+            disarm = CommandRequest.KILL
     command = {
         # Somebody flies a vehicle that is armed already, and only they may change its mode.
         Step.MODE: None if now.armed else CommandRequest.OWN_MODE,
         Step.ARM: CommandRequest.ARM if may_arm else None,
-        Step.DISARM: CommandRequest.DISARM,
+        Step.DISARM: disarm,
         Step.TAKEOFF: CommandRequest.TAKEOFF if now.height_m < LIFTED_M else None,
         Step.KILL: CommandRequest.KILL,
     }.get(step)

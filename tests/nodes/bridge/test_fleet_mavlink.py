@@ -215,6 +215,7 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
 def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
     fleet = MavlinkFleet(scenario(), count=3)
     inject(fleet.uavs[2].vehicle, "arming", "refuse", fleet.now_s)
+    inject(fleet.uavs[3].vehicle, "takeoff", "detected", fleet.now_s)  # denies the plain disarm
     fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
     fleet.run(2.0)
     for uav in fleet.uavs.values():
@@ -226,6 +227,7 @@ def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
     assert "arming refused" in refused
     assert "not healthy: prearm check" in refused  # PX4 tells a companion nothing else
     assert "bridge2" in fleet.uavs[1].bridge.procedure.fault
+    assert "left behind" not in fleet.uavs[3].bridge.procedure.fault
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ def bridge(step, *, armed, flew, silence_s):
             inputs=SimpleNamespace(order=SimpleNamespace(text="kill")),
         ),
         placement=SimpleNamespace(text=""),
-        maintenance=SimpleNamespace(fate=""),
+        fate="",
         flew=flew,
     )
 

@@ -301,6 +301,26 @@ def test_stop_while_armed_on_the_ground_disarms():
     assert Stream.CLIMB not in flight.streams()
 
 
+@pytest.mark.parametrize(
+    ("change", "forced"),
+    [({}, True), ({"height_m": 1.0}, False), ({"mode": FlightMode.OTHER}, False)],
+)
+def test_one_that_does_not_disarm_on_the_ground_lands_and_is_forced_if_it_never_left_it(
+    change, forced
+):
+    """PX4 takes setpoints on the ground for a take-off, and denies the plain disarm."""
+    flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
+    flight.ignored = {CommandRequest.DISARM, CommandRequest.LAND}
+    began = flight.snapshot.now_s
+    flight.run(until=Step.DISARM, companion_out="bridge2 failed: arming refused")
+    flight.run(2.9, **change)
+    requested = flight.requested(began)
+    assert requested[0] is CommandRequest.DISARM
+    assert (CommandRequest.LAND in requested) == ("mode" not in change)
+    assert (CommandRequest.KILL in requested) == forced
+    assert flight.snapshot.armed != forced
+
+
 def test_a_pilot_who_takes_over_before_take_off_has_the_vehicle():
     flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
     flight.obeys = False
