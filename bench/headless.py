@@ -9,7 +9,7 @@ from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.step import SVD, numpy_svd
 from bench.table import Row, Target
-from ptnsbc_core.kernel import borrowed, kernel
+from ptnsbc_core.kernel import kernel, referred
 from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
@@ -23,7 +23,6 @@ _TARGETS = {5: 80_000.0, 20: 25_000.0}
 
 @kernel
 def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for tick in range(ticks):
         sense(swarm, wiring, track, tick, None)
     return 0.0
@@ -31,7 +30,6 @@ def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) ->
 
 @kernel
 def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     total = 0.0
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
@@ -42,7 +40,6 @@ def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -
 
 @kernel
 def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt, total = wiring.dt_ns * 1e-9, 0.0
     for tick in range(ticks):
         t = (tick * wiring.dt_ns) * 1e-9
@@ -55,7 +52,6 @@ def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> 
 
 @kernel
 def _plant(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
             advance_plant(swarm, wiring, track, tick, row, None)
@@ -141,5 +137,6 @@ def _pass_ns(one: _Pass, flight: HeadlessFlight, ticks: int) -> float:
     """CPU time of one pass per UAV and tick [ns]; it starts as the flight did and changes copies."""
     swarm = swarm_of(flight.scenario, flight.wiring, None)
     track = FlightTrack(*(array.copy() for array in flight.track))
-    seconds = cpu_seconds(lambda: one(ticks, flight.wiring, swarm, track))
+    arguments = (ticks, referred(flight.wiring), referred(swarm), referred(track))
+    seconds = cpu_seconds(lambda: one(*arguments))
     return 1e9 * seconds / (ticks * len(flight.scenario.uav_ids))

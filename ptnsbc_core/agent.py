@@ -6,18 +6,17 @@ on the way back. That costs more than the laws (`bench --only step` shows both).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableSequence
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from functools import cached_property
 from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.algebra import store3
-from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, prepared
+from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list, prepared
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.step import TaskPoints, initial_state, step, task_points
-from ptnsbc_core.tasks.contract import TaskGeometry
+from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import (
     MODE_HOLD,
     NEAR_COLUMNS,
@@ -162,13 +161,6 @@ class PackedOutputs:
         return load_diagnostics(self._diagnostics)
 
 
-class _AgentMemory(NamedTuple):
-    """Configuration and state, which stay with the kernels from step to step."""
-
-    config: AgentConfig
-    states: MutableSequence[AgentState]  # one; apart, because it alone is written at every step
-
-
 @inline_kernel
 def _unpack(vector: Array, near: Array) -> AgentInputs:
     count = (vector.shape[0] - ESTIMATES) // (ODOMETRY_SIZE + 1)
@@ -188,9 +180,13 @@ def _unpack(vector: Array, near: Array) -> AgentInputs:
     )
 
 
+_Memory = tuple[Sequence[AgentConfig], MutableSequence[AgentState]]
+"""Configuration and state of one UAV, a list of one each: they stay with the kernels from step to step."""
+
+
 @kernel
 def _advance(
-    memory: MutableSequence[_AgentMemory],
+    memory: _Memory,
     inputs: Array,
     near: Array,
     t: float,
@@ -199,8 +195,8 @@ def _advance(
     guided: Vector3 | None,
     task: TaskGeometry | None,
 ) -> None:
-    config, states = memory[0]
-    states[0], outputs = step(states[0], _unpack(inputs, near), t, dt, config, guided, task)
+    configs, states = memory
+    states[0], outputs = step(states[0], _unpack(inputs, near), t, dt, configs[0], guided, task)
     store_outputs(
         outputs,
         out[_VELOCITY:],
@@ -212,11 +208,9 @@ def _advance(
 
 
 @kernel
-def _points(
-    memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
-) -> TaskPoints:
-    config, states = memory[0]
-    return task_points(states[0], _unpack(inputs, near), t, dt, config)
+def _points(memory: _Memory, inputs: Array, near: Array, t: float, dt: float) -> TaskPoints:
+    configs, states = memory
+    return task_points(states[0], _unpack(inputs, near), t, dt, configs[0])
 
 
 @inline_kernel
@@ -264,18 +258,9 @@ def load_diagnostics(row: Array) -> AgentDiagnostics:
     )
 
 
-@kernel
-def _memory(config: AgentConfig, state: AgentState) -> MutableSequence[_AgentMemory]:
-    memory = KernelList()
-    states = KernelList()
-    states.append(state)
-    memory.append(_AgentMemory(config, states))
-    return memory
-
-
-@kernel
-def _state(memory: MutableSequence[_AgentMemory]) -> AgentState:
-    return memory[0].states[0]
+def _copied(state: AgentState) -> AgentState:
+    """The state with an obstacle memory of its own."""
+    return state._replace(obstacle_memory=state.obstacle_memory.copy())
 
 
 class Agent:
@@ -296,19 +281,21 @@ class Agent:
         return agent
 
     def _begin(self, config: AgentConfig, state: AgentState) -> None:
-        self._memory, self._outputs = _memory(config, state), PackedOutputs(np.empty(_OUTPUT_SIZE))
+        self._memory: _Memory = (kernel_list([config]), kernel_list([_copied(state)]))
+        self._outputs = PackedOutputs(np.empty(_OUTPUT_SIZE))
 
     @cached_property
     def _own_advance(self) -> Callable[..., None]:
         """`_advance` by our own law and task, without a look at the types of its arguments."""
         empty = PackedInputs(0, np.empty((0, NEAR_COLUMNS)))
         out = self._outputs.vector
-        return prepared(_advance, self._memory, empty.vector, empty.near, 0.0, 0.0, out, None, None)
+        rest = (empty.vector, empty.near, 0.0, 0.0, out, None, None)
+        return prepared(_advance, self._memory, *rest)
 
     @property
     def state(self) -> AgentState:
         """State from which the next step starts."""
-        return _state(self._memory)
+        return _copied(self._memory[1][0])
 
     def task_points(self, inputs: PackedInputs, t: float, dt: float) -> TaskPoints:
         """The state at which the step with these inputs evaluates its task."""

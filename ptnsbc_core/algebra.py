@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.types import Array, Matrix3, Odometry, OdometryLike, Vector2, Vector3, Vector3Like
 
 _SWEEPS = 12
@@ -23,25 +23,25 @@ class Eigen3(NamedTuple):
     vectors: Matrix3
 
 
-@inline_kernel
+@formula
 def dot3(a: Vector3Like, b: Vector3Like) -> float:
     """Scalar product of two (3,) vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inline_kernel
+@formula
 def norm3(a: Vector3Like) -> float:
     """Euclidean norm of a (3,) vector."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@inline_kernel
+@formula
 def norm1(a: Vector3Like) -> float:
     """Sum of the magnitudes of a (3,) vector."""
     return abs(a[0]) + abs(a[1]) + abs(a[2])
 
 
-@inline_kernel
+@formula
 def cross3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Vector product a x b."""
     return (
@@ -51,49 +51,49 @@ def cross3(a: Vector3Like, b: Vector3Like) -> Vector3:
     )
 
 
-@inline_kernel
+@formula
 def add3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Sum of two (3,) vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@inline_kernel
+@formula
 def sub3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Difference a - b of two (3,) vectors."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@inline_kernel
+@formula
 def scale3(a: float, x: Vector3Like) -> Vector3:
     """Scalar a times a (3,) vector."""
     return a * x[0], a * x[1], a * x[2]
 
 
-@inline_kernel
+@formula
 def div3(x: Vector3Like, a: float) -> Vector3:
     """A (3,) vector divided by a scalar."""
     return x[0] / a, x[1] / a, x[2] / a
 
 
-@inline_kernel
+@formula
 def hadamard3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Product of two (3,) vectors entry by entry."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@inline_kernel
+@formula
 def axpy(a: float, x: Vector3Like, y: Vector3Like) -> Vector3:
     """The (3,) vector a x + y."""
     return y[0] + a * x[0], y[1] + a * x[1], y[2] + a * x[2]
 
 
-@inline_kernel
+@formula
 def load3(v: Array | tuple[float, ...], at: int) -> Vector3:
     """The (3,) vector that begins at entry `at`."""
     return v[at], v[at + 1], v[at + 2]
 
 
-@inline_kernel
+@formula
 def odometry_tuple(v: OdometryLike) -> Odometry:
     """An odometry vector (13,) as its numbers: kernels read them without asking what was written meanwhile."""
     a, b, c = v[0], v[1], v[2]
@@ -101,7 +101,7 @@ def odometry_tuple(v: OdometryLike) -> Odometry:
     return a, b, c, d, e, f, g, v[7], v[8], v[9], v[10], v[11], v[12]
 
 
-@inline_kernel
+@formula
 def store3(out: Array, at: int, v: Vector3Like) -> None:
     """Write a (3,) vector into `out` from entry `at` on."""
     out[at], out[at + 1], out[at + 2] = v[0], v[1], v[2]
@@ -114,13 +114,13 @@ def store(out: Array, at: int, values: Array) -> None:
         out[at + i] = values[i]
 
 
-@inline_kernel
+@formula
 def matvec(m: Array | Matrix3, v: Vector3Like) -> Vector3:
     """Product (3, 3) (3,)."""
     return dot3(m[0], v), dot3(m[1], v), dot3(m[2], v)
 
 
-@inline_kernel
+@formula
 def matvec_transposed(m: Array | Matrix3, v: Vector3Like) -> Vector3:
     """Product of the transpose of m (3, 3) with v (3,)."""
     return (
@@ -154,7 +154,7 @@ def limit_norm(v: Vector3Like, limit: float) -> Vector3:
     return load3(v, 0)
 
 
-@inline_kernel
+@formula
 def transpose(m: Array | Matrix3) -> Matrix3:
     """The transpose of m (3, 3)."""
     return (
@@ -175,30 +175,30 @@ def _jacobi_rotation(on_p: float, on_q: float, between: float) -> Vector2:
     return c, tangent * c
 
 
-@inline_kernel
+@formula
 def _first_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
     c, s = turn
     return c * x[0] - s * y[0], c * x[1] - s * y[1], c * x[2] - s * y[2]
 
 
-@inline_kernel
+@formula
 def _second_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
     c, s = turn
     return s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2]
 
 
-@inline_kernel
+@formula
 def _turned_01(a: Matrix3, turn: Vector2) -> Matrix3:
     """Columns 0 and 1 of `a`, given as its columns, turned into each other."""
     return _first_turned(a[0], a[1], turn), _second_turned(a[0], a[1], turn), a[2]
 
 
-@inline_kernel
+@formula
 def _turned_02(a: Matrix3, turn: Vector2) -> Matrix3:
     return _first_turned(a[0], a[2], turn), a[1], _second_turned(a[0], a[2], turn)
 
 
-@inline_kernel
+@formula
 def _turned_12(a: Matrix3, turn: Vector2) -> Matrix3:
     return a[0], _first_turned(a[1], a[2], turn), _second_turned(a[1], a[2], turn)
 
@@ -227,7 +227,7 @@ def eigen3(gram: Matrix3) -> Eigen3:
     return Eigen3((a[0][0], a[1][1], a[2][2]), v)
 
 
-@inline_kernel
+@formula
 def _outer_added(gram: Matrix3, row: Vector3Like) -> Matrix3:
     a, b, c = row[0], row[1], row[2]
     x, y, z = gram

@@ -1,12 +1,11 @@
-"""The compile cache: the machine code of every kernel on disk, one file for each signature.
+"""The compile cache: the machine code of the kernels on disk, one file for each signature that Python calls.
 
-numba's own cache trusts its files. A damaged one ends the process: with a traceback from its index, or by an abort
-inside LLVM that nothing can catch. Here every file carries a checksum and the signature that it was compiled for.
-A file that does not match is ignored and written anew. A fault of the cache costs one line on stderr and the time
-to compile; it never ends a process.
+Promise: whatever is in the folder, or cannot be, no process ends for it. It costs one line on stderr and the time to
+compile. numba's own cache cannot keep that: it trusts its files, and damaged machine code ends the process by an abort
+inside LLVM that nothing can catch. Here every file carries a checksum, and the signature that it was compiled for.
 
-The folder of a cache is named after a digest of all sources below which there are kernels, because a kernel
-contains the kernels and the constants of other modules that it uses.
+The folder of a cache is named after a digest of all sources that a kernel may contain: an edited law never runs in its
+old form.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,56 +30,58 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
-_SOURCES = ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_autopilot", "paper")
-_KEPT_CACHES = 8  # some 11 MB each; several checkouts fly in turn
+_SOURCES = ("ptnsbc_core", "ptnsbc_sim")
+_MARK = b"ptnsbc_core.kernel"  # in a source with kernels
+_KEPT_CACHES = 8  # some 3 MB each; several checkouts fly in turn
 _FOLDER_NAME = re.compile(r"[0-9a-f]{16}")
-_HEADER = b"ptnsbc-kernel-1\n"
+_HEADER = b"ptnsbc-kernel-2\n"
 _CHECKSUM_SIZE = hashlib.sha256().digest_size
 _AT_EVERY_START = "the laws are compiled at every start"
 
 
-def _folders() -> dict[str, Path]:
-    """Folders of the packages with kernels: a colcon workspace installs each below a prefix of its own."""
-    specs = ((name, importlib.util.find_spec(name)) for name in _SOURCES)
-    return {
-        name: Path(spec.origin).resolve().parent for name, spec in specs if spec and spec.origin
-    }
+def kernel_sources() -> dict[str, Path]:
+    """The sources that a kernel may contain: all of ptnsbc_core, and of ptnsbc_sim the modules that have kernels.
 
-
-def source_digest() -> str:
-    """Digest of the sources that a kernel may contain, the same wherever they are installed."""
-    digest = hashlib.sha256()
-    for package, folder in _folders().items():
+    The constants that a kernel of ptnsbc_sim uses stand in one of these; tests/core/test_compile_cache.py checks it.
+    A colcon workspace installs each package below a prefix of its own.
+    """
+    sources = {}
+    for package in _SOURCES:
+        spec = importlib.util.find_spec(package)
+        if spec is None or spec.origin is None:
+            continue
+        folder = Path(spec.origin).resolve().parent
         for path in sorted(folder.rglob("*.py")):
-            source = path.read_bytes()
-            if package != "ptnsbc_core" and b"ptnsbc_core.kernel" not in source:
-                continue  # no kernel is in it
-            name = Path(package, path.relative_to(folder)).as_posix()
-            digest.update(f"{name} {len(source)}\n".encode())
-            digest.update(source)
+            if package == "ptnsbc_core" or _MARK in path.read_bytes():
+                sources[Path(package, path.relative_to(folder)).as_posix()] = path
+    return sources
+
+
+@cache
+def source_digest() -> str:
+    """Digest of `kernel_sources`, the same wherever they are installed."""
+    digest = hashlib.sha256()
+    for name, path in kernel_sources().items():
+        source = path.read_bytes()
+        digest.update(f"{name} {len(source)}\n".encode() + source)
     return digest.hexdigest()[:16]
 
 
 def cache_root() -> Path:
     """Folder of all caches: $PTNSBC_CACHE_DIR, or `ptnsbc` in the user's folder for caches."""
-    if given := os.environ.get("PTNSBC_CACHE_DIR"):
-        return Path(given)
+    if folder := os.environ.get("PTNSBC_CACHE_DIR"):
+        return Path(folder)
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(base) / "ptnsbc"
 
 
 def prune(root: Path, keep: Path) -> None:
     """Remove all caches but those used last: every edit of a law makes a new one."""
-    try:
-        stale = sorted(
-            (path for path in root.iterdir() if _FOLDER_NAME.fullmatch(path.name) and path != keep),
-            key=lambda path: path.stat().st_mtime,
-            reverse=True,
-        )[_KEPT_CACHES - 1 :]
-    except OSError:
-        return
-    for path in stale:
-        shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        caches = [path for path in root.iterdir() if _FOLDER_NAME.fullmatch(path.name)]
+        caches.sort(key=lambda path: (path == keep, path.stat().st_mtime), reverse=True)
+        for path in caches[_KEPT_CACHES:]:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 class CacheFolder:
@@ -91,7 +92,7 @@ class CacheFolder:
         self._reported = False
         self._marked = False
 
-    def report(self, fault: str, consequence: str) -> None:
+    def report(self, fault: str, consequence: str = _AT_EVERY_START) -> None:
         """Say the first fault in one line on stderr."""
         if not self._reported:
             self._reported = True
@@ -107,9 +108,9 @@ class CacheFolder:
             except OSError:  # reading or writing says why
                 return False
             if owner != os.geteuid():
-                fault = f"user {owner} owns {folder}, not user {os.geteuid()}: it is not used"
                 self.report(
-                    fault, f"{_AT_EVERY_START}; set PTNSBC_CACHE_DIR to a folder of your own"
+                    f"user {owner} owns {folder}, not user {os.geteuid()}: it is not used",
+                    f"{_AT_EVERY_START}; set PTNSBC_CACHE_DIR to a folder of your own",
                 )
                 return True
         return False
@@ -120,29 +121,24 @@ class CacheFolder:
             return None
         try:
             with (self.path / name).open("rb") as file:
-                owner = os.fstat(file.fileno()).st_uid
-                data = file.read()
+                owner, data = os.fstat(file.fileno()).st_uid, file.read()
         except FileNotFoundError:
             return None
         except OSError as error:
-            self.report(f"cannot be read ({error.strerror})", _AT_EVERY_START)
+            self.report(f"cannot be read ({error.strerror})")
             return None
         content = data[len(_HEADER) + _CHECKSUM_SIZE :]
         if owner != os.geteuid():
             self.report(f"{name} belongs to user {owner}", "it is not used")
-        elif data != _sealed(content):
+            return None
+        if data != _sealed(content):
             self.report_damage(name)
-        else:
-            self._mark_used()
-            return content
-        return None
-
-    def _mark_used(self) -> None:
-        """Date the folder, once for each process: `prune` keeps what was used last, also by other checkouts."""
-        if not self._marked:
+            return None
+        if not self._marked:  # `prune` keeps what was used last, also by other checkouts
             self._marked = True
             with suppress(OSError):  # a cache that may only be read
                 os.utime(self.path)
+        return content
 
     def report_damage(self, name: str) -> None:
         """Say that a file cannot be used."""
@@ -165,7 +161,7 @@ class CacheFolder:
                 os.unlink(temporary)
                 raise
         except OSError as error:
-            self.report(f"cannot be written ({error.strerror})", _AT_EVERY_START)
+            self.report(f"cannot be written ({error.strerror})")
 
 
 def _sealed(content: bytes) -> bytes:
@@ -179,12 +175,15 @@ class KernelCache:
         self._folder = folder
         self.cache_path = str(folder.path)
         self._name = f"{law.__module__}.{law.__qualname__}"
-        code = law.__code__
         self._ours = law.__module__.split(".")[0] in _SOURCES
+        code, source = law.__code__, None
+        if not self._ours:  # in none of the sources of the digest
+            with suppress(OSError):
+                source = hashlib.sha256(Path(code.co_filename).read_bytes()).hexdigest()
         self._kernel: tuple[object, ...] = (
             (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag),
             (self._name, code.co_firstlineno, hashlib.sha256(code.co_code).hexdigest()),
-            None if self._ours else _content(code.co_filename),
+            source,
         )
 
     def _key(self, signature: Any, codegen: Any) -> tuple[object, ...]:
@@ -222,11 +221,3 @@ class KernelCache:
 
     def flush(self) -> None:
         """`recompile` of a dispatcher calls this; what it compiles replaces the stored files."""
-
-
-def _content(source: str) -> str | None:
-    """Digest of a source file that is in none of the packages of `source_digest`."""
-    try:
-        return hashlib.sha256(Path(source).read_bytes()).hexdigest()
-    except OSError:
-        return None

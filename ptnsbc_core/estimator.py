@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
 from ptnsbc_core.behaviours.neighbour import extrapolated
-from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.kinematics import (
     is_estimate,
     odometry_to_estimate,
@@ -83,7 +83,7 @@ def estimator_step(
     )
 
 
-@inline_kernel
+@formula
 def _extrapolate(estimate: Estimate, age_s: float, acceleration: Vector3) -> Estimate:
     """Estimate of `age_s` ago, extrapolated to the present by its velocity and the leader's acceleration."""
     position = axpy(age_s, estimate.velocity, estimate.position)
@@ -137,7 +137,7 @@ def _mean_received(present: Estimate, measurements: EstimatorMeasurements) -> Es
     )
 
 
-@inline_kernel
+@formula
 def _at_rest(estimate: Estimate) -> Estimate:
     return Estimate(estimate.position, (0.0, 0.0, 0.0), estimate.yaw)
 

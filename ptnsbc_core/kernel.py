@@ -1,143 +1,116 @@
 """One source for every law: compiled by numba where present, plain Python elsewhere.
 
-`PTNSBC_JIT=0` selects the interpreted form. The compiled form is kept on disk by `compile_cache`.
+`PTNSBC_JIT=0` selects the interpreted form. numba is imported when Python calls the first kernel: a program that flies
+nothing starts without it. `compiler` says how kernels are compiled, `compile_cache` how their code is kept on disk.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, ParamSpec, TypeVar, cast
+from functools import cached_property, update_wrapper
+from types import ModuleType
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-
-def _compiler() -> Callable[..., Any] | None:
-    """Compile with options of numba's `njit`; None when kernels are interpreted."""
-    if os.environ.get("PTNSBC_JIT", "1") == "0":
-        return None
-    try:
-        import numba
-    except ImportError:
-        return None
-    from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
-
-    folder = CacheFolder(cache_root(), source_digest())
-
-    def compiled(law: Callable[..., Any], **options: bool) -> Any:
-        dispatcher = numba.njit(error_model="numpy", **options)(law)
-        dispatcher._cache = KernelCache(law, folder)
-        return dispatcher
-
-    return compiled
-
-
-_COMPILE = _compiler()
-COMPILED: bool = _COMPILE is not None
+COMPILED: bool = (
+    os.environ.get("PTNSBC_JIT", "1") != "0" and importlib.util.find_spec("numba") is not None
+)
 """True if kernels run compiled in this process."""
+
+_parts: list[tuple[str, Callable[..., Any]]] = []
+"""Laws that numba has to know before it compiles a kernel that calls them, and how."""
+
+
+def compiler() -> ModuleType:
+    """The module `compiler`, which knows all laws that are imported."""
+    from ptnsbc_core import compiler
+
+    while _parts:
+        how, law = _parts.pop()
+        getattr(compiler, how)(law)
+    return compiler
+
+
+class Kernel(Generic[P, R]):
+    """A law that Python calls compiled."""
+
+    def __init__(self, law: Callable[P, R]) -> None:
+        update_wrapper(self, law)
+        self.py_func = law
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The law as numba knows it; it compiles for new types of arguments."""
+        return compiler().compiled(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:  # what numba sees of the law in another kernel
+        return self.dispatcher._numba_type_
+
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> R:
+        """The law at these arguments."""
+        return cast(R, self.dispatcher(*arguments, **named))
+
+    def prepared(self, *arguments: Any) -> Callable[P, R]:
+        """The law for arguments of these types, which no call checks: to find them out can take longer than a step."""
+        from numba import typeof
+
+        kinds = tuple(typeof(argument) for argument in arguments)
+        self.dispatcher.compile(kinds)
+        return cast(Callable[P, R], self.dispatcher.overloads[kinds].entry_point)
 
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law as a kernel: scalars, tuples, float64 arrays and NamedTuples in and out, no I/O, no globals."""
-    return law if _COMPILE is None else _COMPILE(law)
+    return Kernel(law) if COMPILED else law
 
 
 def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
-    """A short kernel that becomes part of its caller.
+    """Mark a law that kernels contain wherever they call it. Python calls the law itself, which nothing compiles."""
+    _parts.append(("inline", law))
+    return law
 
-    Between two compiled functions every array travels as seven words and a reference count; within one the
-    compiler drops most of both. Long kernels stay apart, or each caller would compile them again.
+
+def formula(law: Callable[P, R]) -> Callable[P, R]:
+    """Mark a law of arithmetic, without branches and functions: a kernel contains its operations in place.
+
+    To call it costs a kernel nothing: the vector operations of the laws are not functions that numba has to compile.
     """
-    return law if _COMPILE is None else _COMPILE(law, forceinline=True)
+    _parts.append(("formula", law))
+    return law
 
 
 def prepared(law: Callable[P, R], *arguments: Any) -> Callable[P, R]:
-    """The kernel `law` for arguments of the types of `arguments`, which no call checks.
+    """The kernel `law` for arguments of the types of `arguments`, which no call checks."""
+    return law.prepared(*arguments) if isinstance(law, Kernel) else law
 
-    A call of a kernel first finds out the types of its arguments: of a KernelList that takes longer than to hand
-    it over (`bench --only step` shows a step without it).
+
+def by_reference(value: T) -> T:
+    """In kernels: a NamedTuple as a pointer, so that a wide one is passed as one word.
+
+    Its arrays have no count of references: the caller holds them for as long as the pointer is used.
     """
-    if not COMPILED:
-        return law
-    from numba import typeof
-
-    kinds, dispatcher = tuple(typeof(argument) for argument in arguments), cast(Any, law)
-    dispatcher.compile(kinds)
-    return cast(Callable[P, R], dispatcher.overloads[kinds].entry_point)
+    return value
 
 
-def _lend() -> Callable[..., Any]:
-    if not COMPILED:
-        return lambda value: value
-    from numba.core import cgutils, types
-    from numba.extending import intrinsic
-
-    def lent(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-        if isinstance(kind, types.Array):
-            array = context.make_array(kind)(context, builder, value)
-            array.meminfo = cgutils.get_null_value(array.meminfo.type)
-            return array._getvalue()
-        if isinstance(kind, types.containers.BaseTuple):
-            for k, inner in enumerate(kind):
-                one = lent(context, builder, inner, builder.extract_value(value, k))
-                value = builder.insert_value(value, one, k)
-            return value
-        context.nrt.incref(builder, kind, value)
-        return value
-
-    @intrinsic
-    def lend(_: Any, value: Any) -> Any:
-        return value(value), lambda context, builder, signature, args: lent(
-            context, builder, signature.args[0], args[0]
-        )
-
-    return cast(Callable[..., Any], lend)
+_parts.append(("reference", by_reference))
 
 
-borrowed: Callable[[T], T] = _lend()
-"""The same arrays, alone or in tuples, without a count of references; call it inside kernels only.
-
-Of a loop that slices the arrays which its caller holds, atomic reference counts took a quarter of the time.
-The caller has to hold them for as long as the borrowed ones are used.
-"""
-
-
-def _list_type() -> Any:
-    if not COMPILED:
-        return list
-    from numba.typed import List
-
-    return List
-
-
-KernelList: Any = _list_type()
-"""A list that kernels make, read and write in place; call it inside kernels only.
-
-Handing a NamedTuple of arrays to a compiled kernel unpacks every field at every call, which costs more than
-the laws; a list is handed over as one pointer, and its length is no part of the compiled type.
-"""
-
-
-@kernel
-def _listed(item: Any) -> Any:
-    out = KernelList()
-    out.append(item)
-    return out
-
-
-@kernel
-def _append(items: Any, item: Any) -> None:
-    items.append(item)
+def referred(value: T) -> T:
+    """In Python: a NamedTuple as kernels take it by one pointer; it reads as the NamedTuple. None stays None."""
+    return cast(T, compiler().Referred(value)) if COMPILED and value is not None else value
 
 
 def kernel_list(items: Sequence[T]) -> MutableSequence[T]:
-    """A KernelList of at least one item.
+    """NamedTuples of one type, at least one, which kernels read and write in place: for them it is one pointer.
 
-    Filled by kernels: the methods of numba's list called from Python are compiled anew in every process.
+    A NamedTuple that is written has its arrays copied into those that are there.
     """
-    out: MutableSequence[T] = _listed(items[0])
-    for item in items[1:]:
-        _append(out, item)
-    return out
+    if not COMPILED:
+        return list(items)
+    return cast(MutableSequence[T], compiler().RecordList(items))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import axpy, load3, matvec, matvec_transposed, norm3, scale3, store3
 from ptnsbc_core.errors import AttitudeError
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.types import Array, Estimate, Matrix3, OdometryLike, Vector3, Vector3Like
 
 SINGULAR_COSINE = 1e-6
@@ -28,7 +28,7 @@ def rotation_from_euler(euler: Array) -> Array:
     return r
 
 
-@inline_kernel
+@formula
 def rotation(q: OdometryLike, at: int) -> Matrix3:
     """Rows of R, body to world, from the unit quaternion x y z w that begins at entry `at`."""
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
@@ -74,7 +74,7 @@ def euler_from_rotation(r: Array | Matrix3) -> Vector3:
     )
 
 
-@kernel
+@formula
 def euler_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
     """(3), (4): Euler angle rates [rad/s] = W(euler) body rates. Infinite at cos(pitch) = 0, see `checked_pitch`."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
@@ -86,7 +86,7 @@ def euler_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
     )
 
 
-@kernel
+@formula
 def body_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
     """Body rates [rad/s] = W^-1(euler) Euler rates; regular everywhere."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
@@ -112,7 +112,7 @@ def checked_pitch(pitch_rad: float) -> float:
     return pitch_rad
 
 
-@inline_kernel
+@formula
 def velocity_enu(odometry: OdometryLike) -> Vector3:
     """World velocity [m/s] of an odometry vector whose twist is in the body frame."""
     return matvec(rotation(odometry, 3), load3(odometry, 7))
@@ -137,7 +137,7 @@ def move_to_present(odometry: Array, age_s: float) -> None:
     store3(odometry, 7, matvec_transposed(rotation(odometry, 3), velocity))
 
 
-@inline_kernel
+@formula
 def yaw_of(odometry: OdometryLike) -> float:
     """Yaw [rad] of an odometry vector."""
     x, y, z, w = odometry[3], odometry[4], odometry[5], odometry[6]
@@ -159,7 +159,7 @@ def store_estimate(out: Array, estimate: Estimate, known: bool) -> None:
     store3(out, 10, (0.0, 0.0, 0.0))
 
 
-@inline_kernel
+@formula
 def odometry_to_estimate(odometry: OdometryLike) -> Estimate:
     """The leader estimate of an odometry vector with the twist in the world frame."""
     return Estimate(load3(odometry, 0), load3(odometry, 7), yaw_of(odometry))
@@ -171,7 +171,7 @@ def is_estimate(odometry: OdometryLike) -> bool:
     return bool(odometry[5] != 0.0 or odometry[6] != 0.0)
 
 
-@inline_kernel
+@formula
 def state_to_estimate(odometry: OdometryLike) -> Estimate:
     """Position, velocity and yaw of a UAV's own odometry vector (twist in the body frame)."""
     return Estimate(load3(odometry, 0), velocity_enu(odometry), yaw_of(odometry))

@@ -9,9 +9,9 @@ from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.curves.trajectory import Reference, reference
-from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.kinematics import yaw_of
-from ptnsbc_core.tasks.contract import TaskGeometry
+from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -111,7 +111,7 @@ def hold_behaviour(
     return with_velocity(behaviour, velocity)
 
 
-@inline_kernel
+@formula
 def with_velocity(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
     """The behaviour with another velocity [m/s, ENU]; error and singular value stay for diagnostics."""
     return Behaviour(

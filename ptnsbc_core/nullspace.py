@@ -24,8 +24,7 @@ from ptnsbc_core.algebra import (
     sub3,
 )
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.tasks.contract import ClearanceTask
-from ptnsbc_core.types import Array, Matrix3, Vector3
+from ptnsbc_core.types import Array, ClearanceTask, Matrix3, Vector3
 
 RANK_TOLERANCE = 1e-9
 """Share of the largest eigenvalue of the Gram matrix below which a direction counts as free."""

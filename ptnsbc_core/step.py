@@ -24,7 +24,7 @@ from ptnsbc_core.control.rigid_body_control import (
     rigid_body_control,
 )
 from ptnsbc_core.estimator import leader_estimate
-from ptnsbc_core.kernel import borrowed, inline_kernel, kernel
+from ptnsbc_core.kernel import by_reference, formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import (
     desired_yaw,
@@ -37,7 +37,7 @@ from ptnsbc_core.mission import (
 )
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
-from ptnsbc_core.tasks.contract import TaskGeometry
+from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.tasks.near_constraints import ObstacleView
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.tasks.told_path import ToldPaths
@@ -67,7 +67,7 @@ from ptnsbc_core.types import (
 _NO_MODE = -1
 
 
-@kernel
+@inline_kernel
 def initial_state(own: OdometryLike, config: AgentConfig) -> AgentState:
     """State before the first tick, from the UAV's own odometry vector (13,)."""
     velocity, zero = velocity_enu(own), (0.0, 0.0, 0.0)
@@ -256,7 +256,7 @@ def _yaw_rate(inputs: AgentInputs, command: VelocityReference, config: AgentConf
     return min(max(config.controller.attitude_gain[1] * error, -limit), limit)
 
 
-@inline_kernel
+@formula
 def _in_numbers(inputs: AgentInputs) -> AgentInputs:
     """The same with tuples for odometry vectors: read once, and not again after every write to an array."""
     return AgentInputs(
@@ -288,7 +288,7 @@ def task_points(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
 ) -> TaskPoints:
     """The state at which the step that follows evaluates its task."""
-    inputs, config = _in_numbers(inputs), borrowed(config)
+    inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
     lost = link_lost(inputs, clock.start_t, config)
     motions = _motions(state, inputs, clock, config)
@@ -329,7 +329,7 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
-    inputs, config = _in_numbers(inputs), borrowed(config)
+    inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
     lost = link_lost(inputs, clock.start_t, config)
     holding = inputs.mode != MODE_FORMATION or lost

@@ -204,7 +204,7 @@ class AgentConfig(NamedTuple):
     """Everything constant that one UAV needs."""
 
     leader: bool
-    task: int  # number in tasks/table.py, or TASK_OWN
+    task: int  # number in tasks/formation_tasks.py, or TASK_OWN
     approach: int  # APPROACH_*
     turn: float  # [rad] of the planned approach about the vertical, the same for all UAVs; 0: straight
     desired: Vector3  # desired task value sigma_d
@@ -327,3 +327,12 @@ class AgentOutputs(NamedTuple):
     estimate_valid: bool  # it comes from a message: the neighbours may use it
     reported: Vector3  # [m/s, body FLU] velocity that the neighbours are told
     diagnostics: AgentDiagnostics
+
+
+class ClearanceTask(NamedTuple):
+    """The clearance task at one tick: the task with the highest priority."""
+
+    velocity: Vector3  # J^+ of the binding constraints [m/s]; zero without any
+    jacobian: Array  # (A, 3) their normals
+    secondary: Vector3  # velocity for the priority below: the formation's, with circulation added
+    memory: Array  # obstacle memory after this tick

@@ -6,16 +6,16 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Mapping, MutableSequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.kernel import KernelList, borrowed, kernel, kernel_list
+from ptnsbc_core.kernel import kernel, kernel_list, referred
 from ptnsbc_core.step import initial_state, step
-from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, AgentState, Array
+from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
 from ptnsbc_sim.disturbances.build import (
     Disturbances,
     flight_disturbances,
@@ -98,7 +98,6 @@ def _fly(
 
     What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
     """
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         sense(swarm, wiring, track, tick, disturbances)
@@ -111,14 +110,6 @@ def _fly(
             note(track, tick, row, out)
         for row in range(swarm.bodies.shape[0]):  # apart: the code of both does not fit the cache
             advance_plant(swarm, wiring, track, tick, row, disturbances)
-
-
-@kernel
-def _starts(configs: Sequence[AgentConfig], seen: Array) -> MutableSequence[AgentState]:
-    states = KernelList()
-    for row in range(len(configs)):
-        states.append(initial_state(seen[row], configs[row]))
-    return states
 
 
 def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> Array:
@@ -160,7 +151,7 @@ def swarm_of(
     return SwarmState(
         configs,
         plants,
-        _starts(configs, seen),
+        kernel_list([initial_state(own, configs[row]) for row, own in enumerate(seen)]),
         bodies,
         np.zeros((objects, NEAR_COLUMNS)),
         np.zeros((size, objects - 1, NEAR_COLUMNS)),
@@ -236,11 +227,12 @@ def flown(
     disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
     swarm = swarm_of(held, wiring, disturbances, None if like is None else like.swarm)
     track = track_of(ticks, size, with_truth=disturbances is not None, room=room and room.track)
+    bundles = (referred(wiring), referred(swarm), referred(track), referred(disturbances))
     changes = role_changes(held)
     for first, end in pairwise(sorted({*range(0, ticks, CHUNK_TICKS), *changes, ticks})):
         for change in changes.get(first, ()):
             _take_role(change, first, wiring, swarm, disturbances)
-        loop(first, end - first, wiring, swarm, track, disturbances)
+        loop(first, end - first, *bundles)
         if progress is not None:
             progress(end, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.timing.dt_ns

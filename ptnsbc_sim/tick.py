@@ -97,7 +97,7 @@ def _mean_parent(
         if disturbances is not None:
             sent = disturbances.received[tick, row, 2 + neighbours + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
-        states[k] = _received(swarm, track, sent, parents.rows[row, k])
+        store(states[k], 0, _received(swarm, track, sent, parents.rows[row, k]))
     weights, shifts = parents.weights[row, :count], parents.shifts[row, :count]
     return mean_parent(states, ages, weights, shifts, parents.stale_s, swarm.parent_mean)
 
@@ -211,7 +211,8 @@ def _sense_near(
             near = add_sensor_noise(
                 swarm.near[row, :count], true[row], seen, samples, disturbances.sensor_noise
             )
-            swarm.near[row, :count] = near
+            for k in range(count):
+                store(swarm.near[row, k], 0, near[k])
 
 
 @kernel

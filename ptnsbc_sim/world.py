@@ -11,7 +11,7 @@ from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
-from ptnsbc_sim.plants.contract import PlantConfig, plant_at, put_plant
+from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.inner_loop import keeping_attitude
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
@@ -158,10 +158,10 @@ class World:
             self._around[row].gust_step(tick)
         plugins = self._plugins
         if plugins is not None and plugins.disturbance is not None:
-            plant = plugins.disturbed(uav_id, tick, self._truth[row], plant_at(self._plants, row))
-            put_plant(self._plants, row, plant)
+            plant = plugins.disturbed(uav_id, tick, self._truth[row], self._plants[row])
+            self._plants[row] = plant
         if plugins is not None and plugins.plant is not None and wrench is not None:
-            plugins.advance(self._states[row], wrench, tick, plant_at(self._plants, row))
+            plugins.advance(self._states[row], wrench, tick, self._plants[row])
             self._truth[row] = _measure_row(self._states, row, self._plants)
         else:
             self._truth[row] = _advance_row(

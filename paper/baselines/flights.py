@@ -16,7 +16,7 @@ import numpy as np
 from paper.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from paper.baselines.settling import BaselineError, settled_s, tuned
 from paper.baselines.terminal import Axis, Terminal, terminal_step
-from ptnsbc_core.kernel import borrowed, kernel, kernel_list
+from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
 from ptnsbc_sim.disturbances.build import Disturbances
@@ -54,7 +54,6 @@ def _fly_terminal(
     laws: Sequence[Terminal],
 ) -> None:
     """As the loop of the swarm, with another law; wind does not act on this plant."""
-    wiring, swarm_state, track = borrowed(wiring), borrowed(swarm_state), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         t = (tick * wiring.dt_ns) * 1e-9

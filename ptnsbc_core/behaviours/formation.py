@@ -21,12 +21,10 @@ from ptnsbc_core.behaviours.contract import (
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.curves.turned import TurnedStep, plus_scaled, start_of, turned_step
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.approach import homing_speed
-from ptnsbc_core.tasks.contract import TaskGeometry
-from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, TaskGeometry, evaluate, task_error
 from ptnsbc_core.timebase import (
     Clock,
     fallback_gain,
@@ -125,7 +123,7 @@ def _moving_places(clock: Clock, config: AgentConfig) -> tuple[PlaceMotion, Plac
     )
 
 
-@inline_kernel
+@formula
 def _moved(other: Neighbour, place: PlaceMotion) -> Neighbour:
     """The neighbour with the motion of the place beside it: what a place that stands still would have to follow."""
     return Neighbour(

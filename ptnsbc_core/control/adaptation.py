@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.types import ControllerConfig, DisturbanceObserver, InertialParameters, Vector3
 
 
@@ -58,7 +58,7 @@ def adapt_bound(
     return min(bound + dt * (growth - config.bound_leak * bound), config.bound_cap[axis])
 
 
-@inline_kernel
+@formula
 def initial_observer(velocity: Vector3) -> DisturbanceObserver:
     """Observer at a velocity [m/s, ENU], with a disturbance of zero."""
     zero = (0.0, 0.0, 0.0)

@@ -35,7 +35,7 @@ from ptnsbc_core.control.rigid_body_control import (
     torque_model,
     torque_regressor_error,
 )
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import (
@@ -67,7 +67,7 @@ def limit_tilt(force: Vector3, config: ControllerConfig) -> Vector3:
     return scale * force[0], scale * force[1], lift
 
 
-@inline_kernel
+@formula
 def desired_rotation(force: Vector3Like, yaw: float) -> Matrix3:
     """R_d: body z along the force, body y perpendicular to it and to the heading [rad]."""
     up = div3(force, norm3(force))

@@ -23,7 +23,7 @@ from ptnsbc_core.algebra import (
     sub3,
 )
 from ptnsbc_core.control.adaptation import adapt_bound, adapt_parameters
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
@@ -78,7 +78,7 @@ def sliding_term(
     )
 
 
-@inline_kernel
+@formula
 def torque_model(
     rates: Vector3, reference: Vector3, reference_dot: Vector3, inertia: Vector3
 ) -> Vector3:
@@ -87,7 +87,7 @@ def torque_model(
     return sub3(hadamard3(inertia, reference_dot), coriolis)
 
 
-@inline_kernel
+@formula
 def _inertia_regressor_error(
     i: int, rates: Vector3, reference: Vector3, reference_dot: Vector3, error: Vector3
 ) -> float:
@@ -96,7 +96,7 @@ def _inertia_regressor_error(
     return reference_dot[i] * error[i] + rates[i] * coriolis
 
 
-@inline_kernel
+@formula
 def torque_regressor_error(
     rates: Vector3, reference: Vector3, reference_dot: Vector3, error: Vector3
 ) -> Vector3:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.types import Array
 
 COEFFICIENTS = 8
@@ -37,7 +37,7 @@ def row_at(table: Array, t: float) -> int:
     return low
 
 
-@kernel
+@formula
 def polynomial(table: Array, row: int, channel: int, t: float) -> Jet:
     """One channel of a row at t [s], by Horner's rule."""
     since = t - table[row, 0]

@@ -15,7 +15,7 @@ import numpy as np
 from ptnsbc_core.algebra import axpy, scale3, store3, sub3
 from ptnsbc_core.curves.piecewise import polynomial, row_at
 from ptnsbc_core.curves.trajectory import Heading, curve_state
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.timebase import h, h_rate
 from ptnsbc_core.types import Array, Shape, Trajectory, Vector3
 
@@ -54,7 +54,7 @@ def _angle(shape: Shape, trajectory: Trajectory, row: int, t: float) -> Heading:
     )
 
 
-@inline_kernel
+@formula
 def _turned(vector: Vector3, sine: float, cosine: float) -> Vector3:
     return (
         cosine * vector[0] - sine * vector[1],
@@ -63,7 +63,7 @@ def _turned(vector: Vector3, sine: float, cosine: float) -> Vector3:
     )
 
 
-@kernel
+@formula
 def _place(table: Array, row: int, channel: int, axes: Heading, t: float) -> PlaceMotion:
     """R a, R (a' + w J a) and R (a'' + 2 w J a' + w' J a - w^2 a), with J a quarter of a turn."""
     x, y = polynomial(table, row, channel, t), polynomial(table, row, channel + 1, t)
@@ -91,7 +91,7 @@ def places(shape: Shape, trajectory: Trajectory, t: float) -> Places:
     return Places(_place(shape.table, row, OWN, axes, t), _place(shape.table, row, PARENT, axes, t))
 
 
-@inline_kernel
+@formula
 def _begun(now: PlaceMotion, first: Vector3, share: float, rate: float, bend: float) -> PlaceMotion:
     """s_0 + h (s - s_0) and its derivatives."""
     away = sub3(now.position, first)

@@ -22,7 +22,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import axpy, store3
 from ptnsbc_core.curves.piecewise import polynomial, row_at
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.types import (
     HEADING_PATH,
     HEADING_TABLE,
@@ -78,7 +78,7 @@ def _along(velocity: Vector3, acceleration: Vector3, jerk: Vector3, yaw: float) 
     return Heading(math.atan2(velocity[1], velocity[0]), rate, (change - rate * growth) / square)
 
 
-@inline_kernel
+@formula
 def _harmonic(table: Array, axis: int, t: float) -> tuple[float, float, float, float]:
     """One axis of a harmonic curve and its first three derivatives."""
     amplitude, rate = table[axis, 1], table[axis, 2]

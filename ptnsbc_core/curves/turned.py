@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import axpy, scale3
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.timebase import Clock, h, h_rate, plan_step
 from ptnsbc_core.types import Vector3, Vector3Like
 
@@ -85,12 +85,12 @@ class TurnedStep(NamedTuple):
     acceleration: Factor  # change of that rate to the next step [1/s^2]
 
 
-@inline_kernel
+@formula
 def _straight(number: float) -> Factor:
     return Factor(number, 0.0, number)
 
 
-@inline_kernel
+@formula
 def _change(now: Factor, then: Factor, up: float, dt: float) -> Factor:
     return Factor((now.along - then.along) / dt, (now.across - then.across) / dt, up)
 

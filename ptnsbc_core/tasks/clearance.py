@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import axpy, dot3, limit_norm, load3, matvec, scale3, store3, sub3
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import by_reference, inline_kernel, kernel
 from ptnsbc_core.nullspace import null_space_projector
 from ptnsbc_core.tasks import obstacle_memory
 from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, tangent
-from ptnsbc_core.tasks.contract import ClearanceTask
 from ptnsbc_core.tasks.near_constraints import (
     ClearanceConstraints,
     ObstacleView,
@@ -33,6 +32,7 @@ from ptnsbc_core.types import (
     SPEED_BRAKING,
     Array,
     ClearanceConfig,
+    ClearanceTask,
     Vector3,
 )
 
@@ -218,6 +218,7 @@ def clearance(
     position: Vector3, wanted: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
     """The clearance task by the rule of the configuration; it has no rows while no constraint binds."""
+    view = by_reference(view)
     velocity = _within_sight(wanted, view, config)
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, view, config)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, MutableSequence, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -39,18 +39,6 @@ class PlantConfig(NamedTuple):
     amplitude: Six  # disturbance a sin(t + phase) + offset [m/s^2, rad/s^2]
     phase: Six  # [rad]
     offset: Six
-
-
-@kernel
-def plant_at(plants: Sequence[PlantConfig], row: int) -> PlantConfig:
-    """One of the plants in a KernelList; its arrays are shared."""
-    return plants[row]
-
-
-@kernel
-def put_plant(plants: MutableSequence[PlantConfig], row: int, plant: PlantConfig) -> None:
-    """Replace one of the plants in a KernelList."""
-    plants[row] = plant
 
 
 class Waves(NamedTuple):

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, load3, matvec_transposed, store3
-from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.types import Array, Vector3
 from ptnsbc_sim.plants.contract import PlantConfig, Push, Six, disturbance
@@ -29,14 +29,14 @@ class QuadrotorState(NamedTuple):
     torque: Vector3  # [N m]
 
 
-@inline_kernel
+@formula
 def from_array(x: Array) -> QuadrotorState:
     """The parts of a state (17,)."""
     quaternion = (x[3], x[4], x[5], x[6])
     return QuadrotorState(load3(x, 0), quaternion, load3(x, 7), load3(x, 10), x[13], load3(x, 14))
 
 
-@inline_kernel
+@formula
 def store_state(out: Array, x: QuadrotorState) -> None:
     """Write a state into `out` (17,)."""
     store3(out, 0, x.position)
@@ -85,7 +85,7 @@ def forces(wrench: Array, config: PlantConfig) -> QuadrotorForces:
     )
 
 
-@inline_kernel
+@formula
 def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> QuadrotorState:
     """x_dot under these forces and a disturbance acceleration."""
     a, b, c, d = x.quaternion
@@ -122,7 +122,7 @@ def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> Quadrot
     )
 
 
-@inline_kernel
+@formula
 def ahead(x: QuadrotorState, factor: float, slope: QuadrotorState) -> QuadrotorState:
     """x + factor slope."""
     q, dq = x.quaternion, slope.quaternion
@@ -141,7 +141,7 @@ def ahead(x: QuadrotorState, factor: float, slope: QuadrotorState) -> QuadrotorS
     )
 
 
-@inline_kernel
+@formula
 def _sum(a: QuadrotorState, b: QuadrotorState) -> QuadrotorState:
     q, r = a.quaternion, b.quaternion
     return QuadrotorState(
@@ -154,7 +154,7 @@ def _sum(a: QuadrotorState, b: QuadrotorState) -> QuadrotorState:
     )
 
 
-@inline_kernel
+@formula
 def _normalised(x: QuadrotorState) -> QuadrotorState:
     """`x` with its quaternion brought back to unit length."""
     a, b, c, d = x.quaternion

@@ -10,7 +10,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.step import TaskPoints
-from ptnsbc_core.tasks.contract import ZERO, TaskGeometry
+from ptnsbc_core.tasks.formation_tasks import ZERO, TaskGeometry
 from ptnsbc_core.types import Array, Matrix3, Vector3
 from ptnsbc_sim.plugins.loader import Plugin, PluginError, load_plugin, place_of
 

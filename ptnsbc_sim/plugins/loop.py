@@ -6,14 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ptnsbc_core.kernel import borrowed, kernel, kernel_list
+from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.step import TaskPoints, step, task_points
-from ptnsbc_core.tasks.contract import TaskGeometry
+from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
-from ptnsbc_sim.plants.contract import plant_at, put_plant
 from ptnsbc_sim.plugins.formation_task import PluginTask
 from ptnsbc_sim.plugins.uav_plugins import Heard, UavLaw, UavPlugins
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
@@ -45,7 +44,6 @@ def _step_all(
     disturbances: Disturbances | None,
 ) -> None:
     """The control step of every UAV: followers by velocities (N, 3) [m/s, ENU] of a law, or by a task, if given."""
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for row in range(swarm.bodies.shape[0]):
         if not computes(swarm, track, tick, row, disturbances):
@@ -73,7 +71,6 @@ def _task_points(
     disturbances: Disturbances | None,
 ) -> Array:
     """The states at which the UAVs evaluate their tasks: rows (N, 10)."""
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
     for row in range(swarm.bodies.shape[0]):
@@ -98,7 +95,6 @@ def _advance_all(
     track: FlightTrack,
     disturbances: Disturbances | None,
 ) -> None:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for row in range(swarm.bodies.shape[0]):
         advance_plant(swarm, wiring, track, tick, row, disturbances)
 
@@ -228,14 +224,14 @@ class PluginLoop:
         if world is not None and world.disturbance is not None:
             truth = track.odometry[tick] if disturbances is None else track.truth[tick]
             for row, uav in enumerate(self._ids):
-                plant = plant_at(swarm.plants, row)
-                put_plant(swarm.plants, row, world.disturbed(uav, tick, truth[row], plant))
+                plant = swarm.plants[row]
+                swarm.plants[row] = world.disturbed(uav, tick, truth[row], plant)
         if world is None or world.plant is None:
             _advance_all(tick, wiring, swarm, track, disturbances)
             return
         for row in range(len(self._ids)):
             if _flies(tick, row, wiring, swarm, disturbances):
-                plant = plant_at(swarm.plants, row)
+                plant = swarm.plants[row]
                 world.advance(swarm.bodies[row], track.wrench[tick, row], tick, plant)
 
 

@@ -18,8 +18,7 @@ from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.approach import SHARE, braking_speed
-from ptnsbc_core.tasks.registry import desired_value
-from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, desired_value, metres_per_row, needs_arm
 from ptnsbc_core.tasks.told_path import REACH
 from ptnsbc_core.types import (
     APPROACH_SPEEDS,
@@ -153,7 +152,7 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     if scenario.plugins.task is not None:
         return _desired_by(scenario, own, above, anchor)
     arm = float(np.hypot(*(own - above)[:2]))
-    if FORMATION_TASKS[task].needs_arm and arm < _SHORTEST_ARM_M:
+    if needs_arm(task) and arm < _SHORTEST_ARM_M:
         raise FormationError(
             f"{scenario.source}: formation.offsets_m.{uav_id}: {arm:.3g} m beside its parent UAV "
             f"{parent}: expected at least {_SHORTEST_ARM_M:g} m, the angles of task {task} have no "
@@ -164,7 +163,7 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     except FormationError as error:
         where = f"{scenario.source}: formation.offsets_m.{uav_id}"
         raise FormationError(f"{where}: {error}") from None
-    return value, FORMATION_TASKS[task].row_scale(arm)
+    return value, metres_per_row(task, arm)
 
 
 def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:

@@ -8,8 +8,7 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.build import (

@@ -6,7 +6,6 @@ from on_arrays import on_arrays
 
 from ptnsbc_core import nullspace
 from ptnsbc_core.tasks import clearance as task
-from ptnsbc_core.tasks.contract import ClearanceTask
 from ptnsbc_core.tasks.near_constraints import ObstacleView
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.tasks.told_path import ToldPaths
@@ -17,6 +16,7 @@ from ptnsbc_core.types import (
     SPEED_BRAKING,
     SPEED_LINEAR,
     ClearanceConfig,
+    ClearanceTask,
     LoopGain,
 )
 

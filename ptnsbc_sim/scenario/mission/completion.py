@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning, metres_per_row, needs_arm
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import Number, Vec3
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg
@@ -363,11 +362,11 @@ def _depth(parents: Array, root: int) -> int:
 def _usable(task: str, own: Array, above: Array, reference: Array) -> bool:
     """True if a follower can hold its place by this task with that parent."""
     arm = float(np.hypot(*(own - above)[:2]))
-    if not FORMATION_TASKS[task].needs_arm:
+    if not needs_arm(task):
         return True
     if arm < 1e-3:
         return False
-    scale = FORMATION_TASKS[task].row_scale(arm)
+    scale = metres_per_row(task, arm)
     try:
         return conditioning(TASKS[task], own, above, reference, scale) >= _CONDITIONED
     except FormationError:

@@ -10,13 +10,19 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.nullspace import damped_solve
-from ptnsbc_core.tasks.angles import SOFTENING_M2, softened
-from ptnsbc_core.tasks.distance_angles import distance_angles
-from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
-from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.tasks.formation_tasks import (
+    SOFTENING_M2,
+    TASKS,
+    DistanceAngles,
+    conditioning,
+    desired_value,
+    evaluate,
+    softened,
+    task_error,
+)
 
 damped_solve = on_arrays(damped_solve)
-distance_angles = on_arrays(distance_angles)
+distance_angles = on_arrays(DistanceAngles.evaluate)
 desired_value = on_arrays(desired_value)
 evaluate = on_arrays(evaluate)
 task_error = on_arrays(task_error)

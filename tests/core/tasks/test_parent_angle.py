@@ -6,12 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.tasks.parent_angle import parent_angle
-from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.tasks.relative_position import relative_position
-from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, ParentAngle, RelativePosition, conditioning
 
-parent_angle = on_arrays(parent_angle)
+parent_angle = on_arrays(ParentAngle.evaluate)
 
 ONES = np.ones(3)
 
@@ -52,5 +49,7 @@ def test_where_distance_angles_vanishes_this_one_does_not() -> None:
 @given(seed=st.integers(0, 2**31))
 def test_relative_position_is_never_singular(seed: int) -> None:
     own, parent, leader = np.random.default_rng(seed).normal(size=(3, 3))
-    np.testing.assert_array_equal(relative_position(own, parent, leader).value, own - parent)
+    np.testing.assert_array_equal(
+        RelativePosition.evaluate(own, parent, leader).value, own - parent
+    )
     assert conditioning(TASKS["relative_position"], own, parent, leader, ONES) == 1.0

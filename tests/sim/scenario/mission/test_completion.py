@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import reference_offset
 from ptnsbc_sim.scenario.fields import LARGEST
