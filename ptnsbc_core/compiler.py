@@ -7,7 +7,7 @@ arguments of each law. And a vector operation of one line is a function like any
 
 - A kernel that a kernel calls is a *part*: its LLVM code is linked into the kernel that Python calls, which alone is
   optimised, emitted and kept on disk. Two classes of libraries override what numba does with a finished module.
-- A `Reference` is a pointer to the words of a NamedTuple. A field is read where it is used.
+- A `Pointer` is a pointer to the words of a NamedTuple. A field is read where it is used.
 - A *formula* is run once on numbers that are not known yet. What it does with them is its code.
 
 No operation on floats moves or changes, so the bits of a flight are those of every other way to compile it.
@@ -56,8 +56,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
 
-_FOLDER = CacheFolder(cache_root(), source_digest())
-_OPTIONS = {"nopython": True, "error_model": "numpy"}
+FOLDER = CacheFolder(cache_root(), source_digest())
 
 
 class _Part(JITCodeLibrary):
@@ -149,8 +148,8 @@ _WHOLE, _PART = _pipeline(_LoweringOfWhole), _pipeline(_LoweringOfPart)
 class _WholeKernel(CPUDispatcher):
     """A law as Python calls it; kernels see its part."""
 
-    def __init__(self, law: Callable[..., Any]) -> None:
-        options = {**_OPTIONS, "no_cfunc_wrapper": True}
+    def __init__(self, law: Callable[..., Any], error_model: str) -> None:
+        options = {"nopython": True, "error_model": error_model, "no_cfunc_wrapper": True}
         super().__init__(law, targetoptions=options, pipeline_class=_WHOLE)
         self._part = _PartOfKernel(law, inline=False)
 
@@ -173,10 +172,9 @@ class _PartOfKernel(CPUDispatcher):
     """A law as kernels see it."""
 
     def __init__(self, law: Callable[..., Any], *, inline: bool) -> None:
-        options = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        super().__init__(
-            law, targetoptions={**options, "forceinline": inline}, pipeline_class=_PART
-        )
+        options = {"nopython": True, "error_model": "numpy", "forceinline": inline}
+        wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        super().__init__(law, targetoptions={**options, **wrappers}, pipeline_class=_PART)
 
     def compile(self, sig: Any) -> Any:
         """As numba's, without its clocks: every call of LLVM would tell those of all functions around it."""
@@ -194,10 +192,13 @@ class _PartOfKernel(CPUDispatcher):
         return compiled.entry_point
 
 
-def compiled(law: Callable[..., Any]) -> CPUDispatcher:
-    """A law for Python, whose machine code is kept on disk."""
-    whole = _WholeKernel(law)
-    whole._cache = KernelCache(law, _FOLDER)
+def compiled(
+    law: Callable[..., Any], folder: CacheFolder | None = FOLDER, error_model: str = "numpy"
+) -> CPUDispatcher:
+    """A law for Python; its machine code is kept in `folder`, where there is one."""
+    whole = _WholeKernel(law, error_model)
+    if folder is not None:
+        whole._cache = KernelCache(law, folder)
     return whole
 
 
@@ -215,7 +216,7 @@ _BY_VALUE = 20
 """A field of more words than this is a reference too."""
 
 
-class Reference(types.Type):
+class Pointer(types.Type):
     """Type of a pointer to a NamedTuple, as words of 64 bits. Whoever made it keeps its arrays."""
 
     def __init__(self, target: Any) -> None:
@@ -257,7 +258,7 @@ def _field(target: Any, name: str) -> tuple[int, Any]:
     return sum(words(part) for part in parts[:at]), parts[at]
 
 
-@register_model(Reference)
+@register_model(Pointer)
 @register_model(Records)
 class _PointerModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
@@ -341,16 +342,16 @@ def _store(context: Any, builder: Any, pointer: Any, kind: Any, value: Any, copy
 
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = Reference
+    key = Pointer
 
     def generic_resolve(self, kind: Any, name: str) -> Any:
         if name not in kind.target.fields:
             return None
         _, part = _field(kind.target, name)
-        return Reference(part) if _is_pointed_at(part) else part
+        return Pointer(part) if _is_pointed_at(part) else part
 
 
-@lower_getattr_generic(Reference)
+@lower_getattr_generic(Pointer)
 def _get_field(context: Any, builder: Any, kind: Any, value: Any, name: str) -> Any:
     at, part = _field(kind.target, name)
     place = _word(builder, value, at)
@@ -362,7 +363,7 @@ class _GetRecord(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         records, row = args
         if isinstance(records, Records) and isinstance(row, types.Integer):
-            return signature(Reference(records.target), records, types.intp)
+            return signature(Pointer(records.target), records, types.intp)
         return None
 
 
@@ -382,7 +383,7 @@ class _SetRecord(AbstractTemplate):
         records, row, value = args
         if not (isinstance(records, Records) and isinstance(row, types.Integer)):
             return None
-        fits = isinstance(value, Reference) or words(value) == words(records.target)
+        fits = isinstance(value, Pointer) or words(value) == words(records.target)
         return signature(types.none, records, types.intp, value) if fits else None
 
 
@@ -390,13 +391,13 @@ class _SetRecord(AbstractTemplate):
 def _set_record(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     records, row, value = args
     place, kind = _record(builder, sig.args[0], records, row), sig.args[2]
-    if isinstance(kind, Reference):
+    if isinstance(kind, Pointer):
         value, kind = _load(context, builder, value, kind.target), kind.target
     _store(context, builder, place, kind, value, copy=True)
     return context.get_dummy_value()
 
 
-@unbox(Reference)
+@unbox(Pointer)
 @unbox(Records)
 def _address(kind: Any, value: Any, c: Any) -> Any:
     number = c.pyapi.object_getattr_string(value, "address")
@@ -408,13 +409,13 @@ def _address(kind: Any, value: Any, c: Any) -> Any:
 def reference(law: Callable[..., Any]) -> None:
     """Have kernels take a call of `law` for a pointer to its NamedTuple; anything else stays as it is."""
 
-    class Template(AbstractTemplate):
+    class ByReference(AbstractTemplate):
         key = law
 
         def generic(self, args: Any, kws: Any) -> Any:
             (value,) = args
             return signature(
-                Reference(value) if isinstance(value, types.BaseNamedTuple) else value, value
+                Pointer(value) if isinstance(value, types.BaseNamedTuple) else value, value
             )
 
     @lower_builtin(law, types.Any)
@@ -428,7 +429,7 @@ def reference(law: Callable[..., Any]) -> None:
         _store(context, builder, place, kind, args[0], copy=False)
         return place
 
-    vars(law)["_numba_type_"] = types.Function(Template)
+    vars(law)["_numba_type_"] = types.Function(ByReference)
 
 
 # Formulas ------------------------------------------------------------------------------------------------------------
@@ -504,7 +505,7 @@ class _Row:
             )
 
 
-class _Pointer:
+class _Pointed:
     """A reference of a formula."""
 
     __slots__ = ("kind", "trace", "value")
@@ -518,7 +519,7 @@ class _Pointer:
         if builder is not None:
             value = _word(builder, self.value, at)
         if _is_pointed_at(part):
-            return _Pointer(self.trace, Reference(part), value)
+            return _Pointed(self.trace, Pointer(part), value)
         if builder is not None:
             value = _load(context, builder, value, part)
         return self.trace.argument(part, value)
@@ -536,8 +537,8 @@ class _Trace:
             return kind.literal_value
         if isinstance(kind, types.NoneType):
             return None
-        if isinstance(kind, Reference):
-            return _Pointer(self, kind, value)
+        if isinstance(kind, Pointer):
+            return _Pointed(self, kind, value)
         if isinstance(kind, types.BaseTuple):
             parts = [
                 self.argument(
@@ -611,7 +612,7 @@ class _Trace:
             if self.builder is None:
                 return kind, None
             return kind, self.context.make_tuple(self.builder, kind, [part for _, part in parts])
-        if isinstance(value, _Number | _Row | _Pointer):
+        if isinstance(value, _Number | _Row | _Pointed):
             if self.builder is not None and isinstance(value, _Row):
                 self.context.nrt.incref(self.builder, value.kind, value.value)
             return value.kind, value.value
@@ -657,7 +658,7 @@ def formula(law: Callable[..., Any]) -> None:
     """Have kernels contain the operations that one run of a law makes."""
     _FORMULAS.add(law)
 
-    class Template(AbstractTemplate):
+    class InPlace(AbstractTemplate):
         key = law
         prefer_literal = True
 
@@ -673,7 +674,7 @@ def formula(law: Callable[..., Any]) -> None:
         given = [trace.argument(kind, value) for kind, value in zip(sig.args, args, strict=True)]
         return trace.result(_traced(law)(*given))[1]
 
-    vars(law)["_numba_type_"] = types.Function(Template)
+    vars(law)["_numba_type_"] = types.Function(InPlace)
 
 
 # From Python ---------------------------------------------------------------------------------------------------------
@@ -769,7 +770,7 @@ class Referred:
 
     def __init__(self, value: Any) -> None:
         kind, self.value = numba.typeof(value), value
-        self.kind, self._arrays = Reference(kind), list[Any]()
+        self.kind, self._arrays = Pointer(kind), list[Any]()
         self._block = np.zeros(max(words(kind), 1), dtype=np.int64)
         _write(self._block, 0, kind, value, self._arrays)
         self.address = self._block.ctypes.data

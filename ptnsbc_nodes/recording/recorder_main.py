@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     exit_on_signal()
     from ptnsbc_nodes.runtime.node_process import run
 
-    return run(_parser(), argv, _serve, laws=False)
+    return run(_parser(), argv, _serve)
 
 
 def _serve(options: argparse.Namespace, argv: list[str]) -> int:

@@ -68,8 +68,6 @@ def run(
     parser: argparse.ArgumentParser,
     argv: Sequence[str] | None,
     body: Callable[[argparse.Namespace, list[str]], int],
-    *,
-    laws: bool = True,
 ) -> int:
     """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2.
 
@@ -77,7 +75,6 @@ def run(
         parser: Of the arguments that are not ROS's.
         argv: The arguments, those of the process by default.
         body: Returns the exit code.
-        laws: Whether the process computes the compiled laws.
     """
     full = list(sys.argv if argv is None else (parser.prog, *argv))
     if argv is None:
@@ -85,10 +82,6 @@ def run(
     try:
         environment.prepare()
         arguments = parser.parse_args(without_ros(full[1:]))
-        if laws:
-            from ptnsbc_nodes.runtime.warmup import spare_linear_algebra
-
-            spare_linear_algebra()
         code = body(arguments, full)
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)

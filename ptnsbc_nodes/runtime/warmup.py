@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
-
 import numpy as np
 
 from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
-from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.types import NEAR_COLUMNS
 from ptnsbc_sim.plugins.formation_task import NO_TASK
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
-
-_BLAS = "scipy.linalg"
-
-
-def spare_linear_algebra() -> None:
-    """Load numba without SciPy's BLAS, which costs 0.25 s at the start of every process and which no law uses.
-
-    After this call numba compiles no `np.dot` in this process, so only our own programs make it.
-    """
-    if COMPILED and _BLAS not in sys.modules:
-        sys.modules[_BLAS] = None  # type: ignore[assignment] # Python then finds no such module
-        try:
-            import_module("numba.np.arraymath")  # looks for the module once
-        finally:
-            del sys.modules[_BLAS]
 
 
 def load_agent(scenario: Scenario, uav_id: int) -> None:

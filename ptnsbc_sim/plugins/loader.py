@@ -20,7 +20,7 @@ from types import FunctionType
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.kernel import COMPILED
+from ptnsbc_core.kernel import COMPILED, compiler
 from ptnsbc_sim.plugins.hooks import HOOKS, Hook
 
 _LONGEST = 300
@@ -162,13 +162,14 @@ def _compiled(function: FunctionType, file: Path, hook: Hook) -> Callable[..., A
         return function
     import numba
 
-    from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
+    from ptnsbc_core.compile_cache import CacheFolder, cache_root, source_digest
 
-    compiled = numba.njit(function)
+    folder = None
     if not any(hasattr(value, "py_func") for value in function.__globals__.values()):
         # A function that calls compiled functions of other files is compiled anew: their changes would not be seen.
         digest = hashlib.sha256(source_digest().encode() + file.read_bytes()).hexdigest()[:16]
-        compiled._cache = KernelCache(function, CacheFolder(cache_root() / "laws", digest))
+        folder = CacheFolder(cache_root() / "laws", digest)
+    compiled = compiler().compiled(function, folder, error_model="python")
     try:
         compiled.compile(tuple(numba.typeof(argument) for argument in hook.example))
     except Exception as error:  # not all of numba's errors are NumbaErrors: `global`, *inputs

@@ -230,7 +230,7 @@ def body(arguments, argv):
     ctypes.PyDLL(None).sleep(600)  # with Python's lock, as the middleware does it
     return 0
 
-process.run(argparse.ArgumentParser(), None, body, laws=False)
+process.run(argparse.ArgumentParser(), None, body)
 """
 
 

@@ -1,8 +1,6 @@
 """What a process loads before a flight is all that it needs in it."""
 
 import gc
-import subprocess
-import sys
 
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -31,28 +29,6 @@ def test_after_loading_no_tick_waits_for_a_law():
     before = loaded()
     fly(scenario, edges, controllers, ticks=20)
     assert loaded() - before == set()
-
-
-_SPARING = """
-import sys
-from ptnsbc_nodes.runtime.warmup import load_agent, load_world, spare_linear_algebra
-from ptnsbc_sim.scenario import load_scenario
-spare_linear_algebra()
-scenario = load_scenario("paper_5")
-load_agent(scenario, 2)
-load_world(scenario)
-print("scipy.linalg" in sys.modules)
-from scipy.linalg import norm
-print(norm([3.0, 4.0]))
-"""
-
-
-@pytest.mark.slow
-def test_a_process_without_linear_algebra_has_its_laws_and_can_have_it_later():
-    told = subprocess.run(
-        [sys.executable, "-c", _SPARING], capture_output=True, text=True, check=True
-    )
-    assert told.stdout.split() == ["False", "5.0"]
 
 
 def loaded():
