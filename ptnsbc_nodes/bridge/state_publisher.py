@@ -15,8 +15,13 @@ from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_io.wire import Stamped, WireError, decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.ports import BridgePorts
-from ptnsbc_nodes.bridge.vehicle_monitor import Anchor, VehicleMonitor
-from ptnsbc_nodes.bridge.vehicle_pose import VehicleState, place_of, true_odometry
+from ptnsbc_nodes.bridge.vehicle_monitor import (
+    Anchor,
+    VehicleMonitor,
+    VehicleState,
+    place_of,
+    true_odometry,
+)
 from ptnsbc_sim.scenario import Scenario
 
 _OLDEST_S = 0.3  # a controller that flies by an older state flies into the past

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ptnsbc_autopilot.faults import TimedFault
     from ptnsbc_autopilot.launch import Options
     from ptnsbc_autopilot.server import VehicleServer
-    from ptnsbc_nodes.bridge.identification import Identified, Settings
+    from ptnsbc_nodes.bridge.hover_test import Identified, Settings
     from ptnsbc_sim.scenario import Scenario
 
 _EXAMPLE = "experiment_4"
@@ -102,7 +102,7 @@ def tune(
     """
     with ros.required(_INSTALL):
         from ptnsbc_nodes.bridge.hover_test import fly_hover_test
-        from ptnsbc_nodes.bridge.identification import settings as fitting
+        from ptnsbc_nodes.bridge.hover_test import settings as fitting
     ros.select_network(None, domain)
     if output is not None and output.exists() and not overwrite:
         raise TuneFileError(f"{output}: exists: choose another name, or --overwrite")

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io.mavlink.autopilots import VelocityResponse
 from ptnsbc_nodes.bridge import hover_test
-from ptnsbc_nodes.bridge.identification import FrequencyPoint, Identified
+from ptnsbc_nodes.bridge.hover_test import FrequencyPoint, Identified
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
 
