@@ -14,6 +14,7 @@ from paper.experiment_result import Claim, Column, ExperimentResult, Table
 from paper.output import ExperimentFolder
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, AgentInputs
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario, scenario_from_text
 from ptnsbc_sim.world import World
@@ -80,7 +81,10 @@ def tick_load(scenario: Scenario) -> TickLoad:
         len(edges.senders(uav).states) + len(edges.senders(uav).estimators)
         for uav in scenario.followers
     ]
-    sent = {u: edges.state_readers(u) + edges.estimate_readers(u) for u in scenario.uav_ids}
+    sent = {
+        u: edges.readers(topics.formation_state(u)) + edges.readers(topics.leader_estimate(u))
+        for u in scenario.uav_ids
+    }
     by_leader = sent.pop(scenario.leader.id)
     return TickLoad(
         max(received), max(sent.values()), by_leader, float(scenario.topology.lambda_min)

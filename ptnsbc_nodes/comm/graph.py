@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
@@ -76,12 +79,14 @@ class CommunicationGraph:
     def senders(self, uav_id: int) -> Senders:
         """The senders that this UAV listens to."""
         scenario = self._scenario
+        # A UAV may get another slot, and the edges of that slot; otherwise it only loses edges.
+        reassigns = are_open(scenario) or scenario.formation.vacancy == "close_up"
         others = [i for i in scenario.uav_ids if i != uav_id]
         return Senders(
             parent=scenario.communication.parent(uav_id),
             leader=scenario.leader.id if uav_id in scenario.topology.pinned else None,
             estimators=scenario.topology.neighbours.get(uav_id, ()),
-            others=self._others(uav_id) if self._reassigns() else (),
+            others=self._others(uav_id) if reassigns else (),
             peers=self._peers(uav_id),
             several=several_parents(scenario, uav_id),
             every_tick=scenario.formation.reconfigures,
@@ -99,16 +104,11 @@ class CommunicationGraph:
         """The graph of another scenario, flown with the same options."""
         return CommunicationGraph(scenario, self.options)
 
-    def _reassigns(self) -> bool:
-        """True if a UAV may get another slot, and the edges of that slot. Otherwise it only loses edges."""
-        return are_open(self._scenario) or self._scenario.formation.vacancy == "close_up"
-
     def _peers(self, uav_id: int) -> tuple[int, ...]:
         if self._scenario.formation.reconfigures:
             return self._others(uav_id)
-        return (
-            () if self._scenario.law is None else self._scenario.topology.neighbours.get(uav_id, ())
-        )
+        flies_by_law = self._scenario.law is not None
+        return self._scenario.topology.neighbours.get(uav_id, ()) if flies_by_law else ()
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
         """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""
@@ -125,35 +125,26 @@ class CommunicationGraph:
         edged = (i for i in heard if i in heard[uav_id] or uav_id in heard[i])
         return tuple(sorted(set(edged) - {uav_id}))
 
-    def state_readers(self, uav_id: int) -> int:
-        """The number of nodes that read the formation_state of this UAV."""
-        heard = sum(uav_id in self.senders(other).heard_states for other in self._scenario.uav_ids)
-        return heard + self.options.recorders
-
-    def estimate_readers(self, uav_id: int) -> int:
-        """The number of nodes that read the leader_estimate of this UAV."""
-        heard = sum(
-            uav_id in self.senders(other).heard_estimators for other in self._scenario.uav_ids
+    def heard_by(self, uav_id: int) -> tuple[Topic, ...]:
+        """The topics of a flight that the controller of a UAV reads."""
+        scenario, senders = self._scenario, self.senders(uav_id)
+        decides = are_open(scenario) and uav_id == scenario.leader.id
+        return (
+            *map(topics.odom, scenario.uav_ids if decides else (uav_id,)),
+            *(topics.near(uav_id), topics.EPOCH, *((topics.SLOTS,) if are_open(scenario) else ())),
+            *map(topics.formation_state, senders.heard_states),
+            *map(topics.leader_estimate, senders.heard_estimators),
         )
-        return heard + self.options.recorders
 
-    def odometry_readers(self, uav_id: int) -> int:
-        """The number of nodes that read the odometry of this UAV; with open slots the UAV that decides them is one."""
-        decides = are_open(self._scenario) and uav_id != self._scenario.leader.id
-        return 1 + decides + self.options.recorders
+    def readers(self, topic: Topic) -> int:
+        """The number of nodes that must read a recorded topic before the flight.
 
-    def wrench_readers(self) -> int:
-        """The number of nodes that read a wrench; in real time a bridge may fly instead of the sim."""
-        return int(self.options.lockstep) + self.options.recorders
+        In real time a bridge may fly instead of the sim, and then the sim is none of them.
+        """
+        by_sim = (topics.EPOCH, *map(topics.wrench_setpoint, self._scenario.uav_ids))
+        sim = self.options.lockstep and topic in by_sim
+        return sum(topic in heard for heard in self._heard) + sim + self.options.recorders
 
-    def epoch_readers(self) -> int:
-        """The number of nodes that read the epoch: all UAVs, in lock-step also the sim; not every flight has one."""
-        return len(self._scenario.uav_ids) + self.wrench_readers()
-
-    def slots_readers(self) -> int:
-        """The number of nodes that read the slots: all UAVs."""
-        return len(self._scenario.uav_ids) + self.options.recorders
-
-    def epoch_listeners(self) -> dict[int, int]:
-        """The number of nodes of each UAV that read the epoch: its controller, and its bridge."""
-        return dict.fromkeys(self._scenario.uav_ids, 1 + self.options.bridged)
+    @cached_property
+    def _heard(self) -> list[tuple[Topic, ...]]:
+        return [self.heard_by(uav) for uav in self._scenario.uav_ids]

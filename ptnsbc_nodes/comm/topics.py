@@ -184,23 +184,9 @@ def recorded(
     return (*own, EPOCH, *decided, DIAGNOSTICS, MARKERS, CLOCK)
 
 
-def in_bag(
-    uavs: Iterable[int],
-    *,
-    lockstep: bool = True,
-    with_truth: bool = False,
-    with_slots: bool = False,
-    with_stream: bool = False,
-) -> tuple[Topic, ...]:
-    """Every topic of a bag of these UAVs."""
-    every = recorded(
-        uavs,
-        lockstep=lockstep,
-        with_truth=with_truth,
-        with_slots=with_slots,
-        with_stream=with_stream,
-    )
-    return (*every, TF)
+def in_bag(uavs: Iterable[int], **kinds: bool) -> tuple[Topic, ...]:
+    """Every topic of a bag of these UAVs; `kinds` as of `recorded`."""
+    return (*recorded(uavs, **kinds), TF)
 
 
 def tf_is_available() -> bool:

@@ -117,7 +117,7 @@ def enclaves(
 
 
 def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int, fleet: str) -> Enclave:
-    process, senders = Enclave(fleet, f"uav{uav}", (f"uav{uav}/controller",)), edges.senders(uav)
+    process = Enclave(fleet, f"uav{uav}", (f"uav{uav}/controller",))
     process.allow(
         "publish",
         *(topics.formation_state(uav), topics.leader_estimate(uav)),
@@ -126,10 +126,7 @@ def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int, fleet: str) ->
     )
     process.allow(
         "subscribe",
-        *(topics.odom(uav), topics.near(uav), topics.limits(uav)),
-        *(topics.EPOCH, topics.SLOTS, topics.FAULT),
-        *map(topics.formation_state, senders.heard_states),
-        *map(topics.leader_estimate, senders.heard_estimators),
+        *(*edges.heard_by(uav), topics.limits(uav), topics.FAULT),
     )
     if uav == scenario.leader.id or uav in scenario.leader.successors:
         process.allow("publish", topics.EPOCH, topics.TAKEN)
@@ -137,7 +134,6 @@ def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int, fleet: str) ->
         process.reply.append(f"{fleet}/formation/*")
         if are_open(scenario):
             process.allow("publish", topics.SLOTS)
-            process.allow("subscribe", *map(topics.odom, scenario.uav_ids))
     return process
 
 

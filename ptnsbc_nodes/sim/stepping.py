@@ -47,14 +47,16 @@ class SimPublishers:
             i: OdometryTemplate(WORLD_FRAME, body_frame(i, endpoints.fleet)) for i in ids
         }
         self._send_odom = {
-            i: endpoints.publisher(topics.odom(i), edges.odometry_readers(i)) for i in ids
+            i: endpoints.publisher(topics.odom(i), edges.readers(topics.odom(i))) for i in ids
         }
         self._send_truth = (
             {i: endpoints.publisher(topics.truth(i), recorders) for i in ids}
             if scenario.imperfect
             else {}
         )
-        self._send_near = {i: endpoints.publisher(topics.near(i), 1 + recorders) for i in ids}
+        self._send_near = {
+            i: endpoints.publisher(topics.near(i), edges.readers(topics.near(i))) for i in ids
+        }
         self._send_clock = endpoints.publisher(topics.CLOCK, recorders)
         self._send_markers = endpoints.publisher(topics.MARKERS, recorders)
         self._tf = LiveTransforms(endpoints, ids)

@@ -70,9 +70,11 @@ class LegServices:
         self._flight = flight
         self._clock = clock
         self._waiting_for = waiting_for
-        self._listeners = edges.epoch_listeners()
+        self._listeners = dict.fromkeys(flight.scenario.uav_ids, 1 + edges.options.bridged)
         leads = flight.uav == flight.scenario.leader.id
-        self._publish = endpoints.publisher(topics.EPOCH, edges.epoch_readers() if leads else 0)
+        self._publish = endpoints.publisher(
+            topics.EPOCH, edges.readers(topics.EPOCH) if leads else 0
+        )
         self._untold: list[HeaderFields] = []
         mission = flight.scenario.mission
         numbers = () if mission is None else range(2, len(mission.legs) + 1)

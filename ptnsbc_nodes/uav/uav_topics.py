@@ -24,12 +24,11 @@ from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.topics import Topic
-from ptnsbc_nodes.comm.vehicle_messages import decode_limits
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.uav.clocks import UavClock
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, MessageQueue
-from ptnsbc_nodes.uav.open_slots import SlotDecider
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
-from ptnsbc_nodes.uav.uav_flight import FlownStep, UavFlight
+from ptnsbc_nodes.uav.uav_flight import FlownStep, SlotDecider, UavFlight
 from ptnsbc_sim.scenario import Scenario
 
 T = TypeVar("T")
@@ -94,13 +93,17 @@ class Subscriptions:
 
     def hear_limits(self) -> None:
         """Hear the limits of a real vehicle from its bridge."""
-        limits = topics.limits(self._flight.uav)
-        self._endpoints.listen(limits, decode_limits, self._flight.take_limits)
+        controller = self._flight.controller
+
+        def take(limits: PlannerLimits) -> None:
+            controller.config = limited(controller.config, *limits)
+
+        self._endpoints.listen(topics.limits(self._flight.uav), decode_limits, take)
 
     def decide_slots(self, edges: CommunicationGraph) -> None:
         """Decide the slots of the fleet, by the odometry of all UAVs."""
         flight, scenario = self._flight, self._flight.scenario
-        publish = self._endpoints.publisher(topics.SLOTS, edges.slots_readers())
+        publish = self._endpoints.publisher(topics.SLOTS, edges.readers(topics.SLOTS))
 
         def announce(decision: Decision) -> None:
             publish(encode_slots(decision))
@@ -156,13 +159,18 @@ class Outbox:
     """Publishers of one UAV: what it sends at each tick, and in real time the log of its steps."""
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
-        uav, publisher, recorders = flight.uav, endpoints.publisher, edges.options.recorders
+        uav, recorders = flight.uav, edges.options.recorders
         sent = flight.faults.sent if flight.faults.allowed else None
         self._messages = AgentMessages(uav, endpoints.fleet, sent)
-        self._send_wrench = publisher(topics.wrench_setpoint(uav), edges.wrench_readers())
-        self._send_state = publisher(topics.formation_state(uav), edges.state_readers(uav))
-        self._send_estimate = publisher(topics.leader_estimate(uav), edges.estimate_readers(uav))
-        self._send_velocity = publisher(topics.velocity_setpoint(uav), recorders)
+        self._send_wrench, self._send_state, self._send_estimate, self._send_velocity = (
+            endpoints.publisher(topic, edges.readers(topic))
+            for topic in (
+                topics.wrench_setpoint(uav),
+                topics.formation_state(uav),
+                topics.leader_estimate(uav),
+                topics.velocity_setpoint(uav),
+            )
+        )
         self._log = None
         if not edges.options.lockstep:
             self._log = _StepLogPublisher(endpoints, recorders, flight)

@@ -17,7 +17,6 @@ from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.announcements import DecidedSlots
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
-from ptnsbc_nodes.uav.open_slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (
     SLOTS,
     ControllerSnapshot,
@@ -29,6 +28,7 @@ from ptnsbc_nodes.uav.step_log import (
 )
 from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits, role_holder
 from ptnsbc_nodes.uav.uav_faults import sent_faults
+from ptnsbc_nodes.uav.uav_flight import SlotHolder
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (

@@ -28,8 +28,8 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.emergency.orders import APART, Order
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.open_slots import SlotHolder
 from ptnsbc_nodes.uav.uav_controller import UavController, role_holder, step_time
+from ptnsbc_nodes.uav.uav_flight import SlotHolder
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
 

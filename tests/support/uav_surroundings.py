@@ -44,11 +44,11 @@ class Others:
         listen = ends.listen
         listen(topics.wrench_setpoint(uav_id), bytes, self.keep(self.wrenches, wire.decode_wrench))
         listen(topics.formation_state(uav_id), bytes, self.keep(self.states, wire.decode_odometry))
-        for topic, readers in (
-            (topics.formation_state(uav_id), edges.state_readers(uav_id) - 1),
-            (topics.leader_estimate(uav_id), edges.estimate_readers(uav_id)),
+        for topic, heard in (
+            (topics.formation_state(uav_id), 1),
+            (topics.leader_estimate(uav_id), 0),
         ):
-            for _ in range(readers):
+            for _ in range(edges.readers(topic) - heard):
                 listen(topic, bytes, lambda data: None)
         listen(topics.velocity_setpoint(uav_id), bytes, lambda data: None)
         for topic in (topics.DIAGNOSTICS, READY):

@@ -13,9 +13,9 @@ from ptnsbc_nodes.comm.announcements import Decision
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.open_slots import OpenSlots, SlotDecider, SlotHolder, at_epoch
 from ptnsbc_nodes.uav.step_log import sources, used_by
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
+from ptnsbc_nodes.uav.uav_flight import OpenSlots, SlotDecider, SlotHolder, at_epoch
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
