@@ -59,36 +59,56 @@ class VehicleOutcome(NamedTuple):
     seconds: float  # until its last answer counted
 
 
+class _Bridge:
+    """The order at one bridge, and what is known of its vehicle.
+
+    Attributes:
+        local: the record that the bridge keeps on this host: its process, and the way to the vehicle.
+        state: the newest state of the vehicle, from wherever.
+        answered_s: when the bridge first answered this order [s].
+        done_s: when its answer, or the vehicle itself, showed that the vehicle does as it was told [s].
+        direct: the order past the bridge.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.local: VehicleRecord | None = None
+        self.state: VehicleRecord | None = None
+        self.answered_s: float | None = None
+        self.done_s: float | None = None
+        self.direct: DirectOrder | None = None
+
+    @property
+    def dead(self) -> bool:
+        """True if its process on this host has ended."""
+        return self.local is not None and not self.local.alive
+
+
 class EmergencyStop:
     """One order to all vehicles of a domain."""
 
     def __init__(self, folder: Path, order: Order, remote: RemotePath | None = None) -> None:
         self._folder, self._order, self.remote = folder, order, remote
         self._client = OrderClient(folder)
-        self._known: dict[str, VehicleRecord] = {}  # the newest state of each bridge
-        self._answered: dict[str, float] = {}  # when a bridge first answered
-        self._done: dict[str, float] = {}  # when its answer was enough
-        self._direct: dict[str, DirectOrder] = {}
-        self._began = time.monotonic()
-        self._next_s = self._began
+        self._bridges: dict[str, _Bridge] = {}
+        self._began_s = self._next_s = time.monotonic()
         self.look_up()
 
     @property
     def bridges(self) -> list[str]:
         """The bridges that must answer: those of the fleet, those that left a record, those that were heard."""
-        return sorted({*self._known, *fleet_bridges(self._folder)})
+        return sorted(self._bridges)
 
     @property
     def local(self) -> bool:
         """True if every bridge of the fleet has a record on this host, so that no other path is needed."""
         fleet = fleet_bridges(self._folder)
-        return bool(fleet) and set(fleet) <= set(self._known)
+        return bool(fleet) and all(self._bridge(name).local is not None for name in fleet)
 
     def begin(self) -> None:
         """Latch the order, and count the time from now on."""
         latch(self._folder, self._order)
-        self._began = time.monotonic()
-        self._next_s = self._began
+        self._began_s = self._next_s = time.monotonic()
 
     def look(self) -> bool:
         """One round on every path; returns whether all is done."""
@@ -96,21 +116,22 @@ class EmergencyStop:
         if now_s >= self._next_s:
             self._next_s = now_s + _REPEAT_S
             self.look_up()
-            for name in self._pending():
-                self._client.send(name, self._order)
+            for bridge in self._pending():
+                self._client.send(bridge.name, self._order)
             if self.remote is not None and self._pending():
                 self.remote.send(self._order)
         if self.remote is None:
             time.sleep(0.005)
         else:
             self.remote.spin(0.01)
-            self._take_remote()
+            self._take_remote(self.remote)
         for data in self._client.answers():
-            record_or_none = decode_record(data)
-            if record_or_none is not None:
-                self._on_answer(record_or_none.name, record_or_none)
-        self._tell_directly()
-        return bool(self.bridges) and not self._pending()
+            record = decode_record(data)
+            if record is not None:
+                self._take(self._bridge(record.name), record)
+        for bridge in self._pending():
+            self._go_past(bridge)
+        return bool(self._bridges) and not self._pending()
 
     def run(self, patience_s: float) -> bool:
         """Rounds until all is done; False when `patience_s` is over before that."""
@@ -128,109 +149,124 @@ class EmergencyStop:
 
     def outcomes(self) -> list[VehicleOutcome]:
         """The outcome of the order, per bridge."""
-        return [self._outcome(name) for name in self.bridges]
+        elapsed_s = time.monotonic() - self._began_s
+        return [_outcome(self._bridges[name], self._order, elapsed_s) for name in self.bridges]
 
     def close(self) -> None:
         """Close all sockets."""
         self._client.close()
-        for direct in self._direct.values():
-            direct.close()
-
-    def _pending(self) -> list[str]:
-        return [name for name in self.bridges if name not in self._done]
-
-    def _take_remote(self) -> None:
-        """States of bridges that have not answered on this host."""
-        vehicles = {} if self.remote is None else dict(self.remote.vehicles)
-        for name, record in vehicles.items():
-            if name not in self._answered or not self._known[name].pid:
-                self._on_answer(name, record)
+        for bridge in self._bridges.values():
+            if bridge.direct is not None:
+                bridge.direct.close()
 
     def look_up(self) -> None:
         """Find the bridges of this host, also those that start meanwhile, and those that were heard."""
-        for name, record in ({} if self.remote is None else self.remote.vehicles).items():
-            self._known.setdefault(name, record)
+        for name, state in ({} if self.remote is None else self.remote.vehicles).items():
+            bridge = self._bridge(name)
+            bridge.state = bridge.state or state
         fleet = fleet_bridges(self._folder)
+        for name in fleet:
+            self._bridge(name)
         for record in records(self._folder):
-            unheard = record.name not in self._answered
+            unheard = record.name not in self._bridges or (
+                self._bridges[record.name].answered_s is None
+            )
             over = record.ended or (not record.alive and record.name not in fleet)
             if over and unheard and not record.armed:
                 continue  # of a flight that is over
-            if unheard or record.ended:
-                self._known[record.name] = record
-            if record.ended and not unheard and self._enough(record):
-                self._done.setdefault(record.name, self._elapsed())
+            bridge = self._bridge(record.name)
+            bridge.local = record
+            if bridge.done_s is None and (unheard or record.ended):
+                bridge.state = record
+                if not unheard and _obeys(record, self._order):
+                    bridge.done_s = time.monotonic() - self._began_s
 
-    def _on_answer(self, name: str, record: VehicleRecord) -> None:
-        self._known[name] = record
-        self._answered.setdefault(name, self._elapsed())
-        if self._enough(record):
-            self._done.setdefault(name, self._elapsed())
+    def _bridge(self, name: str) -> _Bridge:
+        return self._bridges.setdefault(name, _Bridge(name))
 
-    def _enough(self, record: VehicleRecord) -> bool:
-        """True if this answer shows that the vehicle does as it was told."""
-        if record.order and record.in_pilots_hands and not self._order.pilots_too:
-            return True
-        took = self._order.what in record.order.partition(" ")[0] or KILL in record.order
-        if self._order.what == KILL:
-            return took and not record.armed and (record.heard or not record.mode)
-        return took and (record.heard or not record.armed)
+    def _pending(self) -> list[_Bridge]:
+        return [self._bridges[name] for name in self.bridges if self._bridges[name].done_s is None]
 
-    def _tell_directly(self) -> None:
-        """Order vehicles past bridges that are dead or do not answer; a pilot's vehicle is left alone."""
-        elapsed_s = self._elapsed()
-        for name in self._pending():
-            record = self._known.get(name)
-            if record is None or not record.pid or (record.alive and not record.armed):
-                continue
-            if record.in_pilots_hands and not self._order.pilots_too:
-                continue
-            dead = not record.alive
-            wait_s = _LOCAL_S if self._order.what == KILL else _DIRECT_LANDING_S
-            silent = name not in self._answered
-            if name not in self._direct and (dead or (silent and elapsed_s > wait_s)):
-                self._direct[name] = DirectOrder(record, self._order)
-            if name in self._direct:
-                self._look_directly(name, record)
+    def _take_remote(self, remote: RemotePath) -> None:
+        """States of bridges that have not answered on this host."""
+        for name, record in remote.vehicles.items():
+            bridge = self._bridge(name)
+            if bridge.answered_s is None or bridge.local is None:
+                self._take(bridge, record)
 
-    def _look_directly(self, name: str, record: VehicleRecord) -> None:
-        direct = self._direct[name]
-        direct.look()
-        landing = direct.lands and self._order.what == LAND
-        if direct.armed is False or landing:
-            self._known[name] = replace(record, armed=bool(direct.armed), heard=True)
-            if not record.alive:
-                self._done.setdefault(name, self._elapsed())
+    def _take(self, bridge: _Bridge, record: VehicleRecord) -> None:
+        """The answer of a bridge."""
+        elapsed_s = time.monotonic() - self._began_s
+        bridge.state = record
+        bridge.answered_s = elapsed_s if bridge.answered_s is None else bridge.answered_s
+        if bridge.done_s is None and _obeys(record, self._order):
+            bridge.done_s = elapsed_s
 
-    def _elapsed(self) -> float:
-        return time.monotonic() - self._began
+    def _go_past(self, bridge: _Bridge) -> None:
+        """Order a vehicle past a bridge that is dead or does not answer; a pilot's vehicle is left alone."""
+        elapsed_s, state = time.monotonic() - self._began_s, bridge.state
+        if state is None or not state.pid or (state.alive and not state.armed):
+            return
+        if state.in_pilots_hands and not self._order.pilots_too:
+            return
+        wait_s = _LOCAL_S if self._order.what == KILL else _DIRECT_LANDING_S
+        silent = bridge.answered_s is None and elapsed_s > wait_s
+        if bridge.direct is None and (bridge.dead or silent):
+            bridge.direct = DirectOrder(state, self._order)
+        if bridge.direct is None:
+            return
+        bridge.direct.look()
+        landing = bridge.direct.lands and self._order.what == LAND
+        if bridge.direct.armed is False or landing:
+            bridge.state = replace(state, armed=bool(bridge.direct.armed), heard=True)
+            if bridge.dead:
+                bridge.done_s = elapsed_s
 
-    def _outcome(self, name: str) -> VehicleOutcome:
-        record, direct = self._known.get(name), self._direct.get(name)
-        done_s = self._done.get(name)
-        seconds = self._elapsed() if done_s is None else done_s
-        if record is None:
-            return VehicleOutcome(name, False, "silent: it was never heard of", seconds)
-        if record.in_pilots_hands and not self._order.pilots_too:
-            text = f"in a pilot's hands, left alone ({record.state}); --all orders it as well"
-            return VehicleOutcome(name, done_s is not None, text, seconds)
-        if done_s is not None and direct is None:
-            return VehicleOutcome(name, True, f"{_doing(record)} after {seconds:.2f} s", seconds)
-        past = "" if direct is None else f"; {_told(direct)}"
-        if done_s is not None:
-            state = "lands" if record.armed else "is disarmed"
-            text = f"its bridge has ended, the vehicle {state} after {seconds:.2f} s{past}"
-            return VehicleOutcome(name, True, text, seconds)
-        if name in self._answered:
+
+def _obeys(record: VehicleRecord, order: Order) -> bool:
+    """True if this answer shows that the vehicle does as it was told."""
+    if record.order and record.in_pilots_hands and not order.pilots_too:
+        return True
+    took = order.what in record.order.partition(" ")[0] or KILL in record.order
+    if order.what == KILL:
+        return took and not record.armed and (record.heard or not record.mode)
+    return took and (record.heard or not record.armed)
+
+
+def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
+    record, direct, obeyed = bridge.state, bridge.direct, bridge.done_s is not None
+    seconds = elapsed_s if bridge.done_s is None else bridge.done_s
+    if record is None:
+        return VehicleOutcome(bridge.name, False, "silent: it was never heard of", seconds)
+    past = ""
+    if direct is not None and direct.problem:
+        past = f"; not reached past it: {direct.problem}"
+    elif direct is not None and direct.armed is None:
+        past = "; told past it by MAVLink, without an answer"
+    elif direct is not None:
+        past = f"; told past it by MAVLink: {'armed' if direct.armed else 'disarmed'}"
+    if record.in_pilots_hands and not order.pilots_too:
+        text = f"in a pilot's hands, left alone ({record.state}); --all orders it as well"
+    elif obeyed and direct is not None:
+        state = "lands" if record.armed else "is disarmed"
+        text = f"its bridge has ended, the vehicle {state} after {seconds:.2f} s{past}"
+    elif obeyed and record.armed:
+        text = f"landing, {record.state} after {seconds:.2f} s"
+    elif obeyed:
+        killed = KILL in record.order and "motors stopped" in record.fault
+        text = "motors stopped" if killed else f"not flying ({record.state})"
+        text = f"{text} after {seconds:.2f} s"
+    else:
+        if bridge.answered_s is not None:
             text = f"answers, but the vehicle does not obey: {record.state}{past}"
-        elif record.alive:
+        elif bridge.dead:
+            text = f"silent: the bridge has ended; last: {record.state}{past}"
+        else:
             text = (
                 f"silent: the bridge (pid {record.pid}) does not answer; last: {record.state}{past}"
             )
-        else:
-            text = f"silent: the bridge has ended; last: {record.state}{past}"
-        fate = f"; {record.fate}" if record.fate and record.armed else ""
-        return VehicleOutcome(name, False, text + fate, seconds)
+        text += f"; {record.fate}" if record.fate and record.armed else ""
+    return VehicleOutcome(bridge.name, obeyed, text, seconds)
 
 
 def order_landing(folder: Path, remote: RemotePath) -> list[str]:
@@ -307,18 +343,3 @@ def _transport(record: VehicleRecord) -> Transport:
     if not record.peer:
         raise ConnectError(f"{record.connect}: the address of the vehicle is not known")
     return connect(f"udpout:{record.peer}")
-
-
-def _doing(record: VehicleRecord) -> str:
-    if not record.armed:
-        killed = KILL in record.order and "motors stopped" in record.fault
-        return "motors stopped" if killed else f"not flying ({record.state})"
-    return f"landing, {record.state}"
-
-
-def _told(direct: DirectOrder) -> str:
-    if direct.problem:
-        return f"not reached past it: {direct.problem}"
-    if direct.armed is None:
-        return "told past it by MAVLink, without an answer"
-    return f"told past it by MAVLink: {'armed' if direct.armed else 'disarmed'}"
