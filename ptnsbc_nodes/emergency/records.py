@@ -145,7 +145,7 @@ def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
 
 
 def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
-    """The record of a vehicle, as its bridge on any host reports it."""
+    """The record of a vehicle, as its bridge on any host reports it now."""
 
     def yes(key: str) -> bool:
         return values.get(key) == "true"
@@ -165,4 +165,5 @@ def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
         mode=values.get("mode", ""),
         place=values.get("place", ""),
         fault=values.get("fault", ""),
+        written_s=time.time(),
     )

@@ -29,11 +29,12 @@ from ptnsbc_nodes.emergency.records import VehicleRecord, decode_record, records
 
 _REPEAT_S = 0.05
 _LAUNCHER_PATIENCE_S = 3.0
-_LOCAL_S = 0.3  # a bridge of this host that has not answered by then is told past itself
+# A bridge of this host that has not answered by then is passed by. A landing past one that only hesitates would look
+# like a pilot's.
+_KILL_WAIT_S, _LANDING_WAIT_S = 0.3, 1.0
 _DIRECT_REPEAT_S = 0.1
 _LINK_ID = 1  # of signatures: the bridge signs with 0, and each has its own sequence
 _WANTED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT})
-_DIRECT_LANDING_S = 2.0  # a landing past a bridge that only hesitates would look like a pilot's
 
 
 class RemotePath(Protocol):
@@ -92,6 +93,7 @@ class EmergencyStop:
         self._client = OrderClient(folder)
         self._bridges: dict[str, _Bridge] = {}
         self._began_s = self._next_s = time.monotonic()
+        self._began_wall_s = time.time()
         self.look_up()
 
     @property
@@ -109,6 +111,7 @@ class EmergencyStop:
         """Latch the order, and count the time from now on."""
         latch(self._folder, self._order)
         self._began_s = self._next_s = time.monotonic()
+        self._began_wall_s = time.time()
 
     def look(self) -> bool:
         """One round on every path; returns whether all is done."""
@@ -188,10 +191,16 @@ class EmergencyStop:
         return [self._bridges[name] for name in self.bridges if self._bridges[name].done_s is None]
 
     def _take_remote(self, remote: RemotePath) -> None:
-        """States of bridges that have not answered on this host."""
+        """States of bridges that have not answered on this host.
+
+        Only one that bears this order is an answer, and of a bridge of another host one that is newer than the order:
+        a bridge that was heard before may have died since. Of a bridge that is dead none is.
+        """
         for name, record in remote.vehicles.items():
             bridge = self._bridge(name)
-            if bridge.answered_s is None or bridge.local is None:
+            newer = bridge.local is None and record.written_s >= self._began_wall_s
+            answer = not bridge.dead and (_bears(record, self._order) or newer)
+            if answer and (bridge.answered_s is None or bridge.local is None):
                 self._take(bridge, record)
 
     def _take(self, bridge: _Bridge, record: VehicleRecord) -> None:
@@ -204,15 +213,13 @@ class EmergencyStop:
 
     def _go_past(self, bridge: _Bridge) -> None:
         """Order a vehicle past a bridge that is dead or does not answer; a pilot's vehicle is left alone."""
-        elapsed_s, state = time.monotonic() - self._began_s, bridge.state
-        if state is None or not state.pid or (state.alive and not state.armed):
+        elapsed_s, local, state = time.monotonic() - self._began_s, bridge.local, bridge.state
+        if local is None or state is None or (state.in_pilots_hands and not self._order.pilots_too):
             return
-        if state.in_pilots_hands and not self._order.pilots_too:
-            return
-        wait_s = _LOCAL_S if self._order.what == KILL else _DIRECT_LANDING_S
+        wait_s = _KILL_WAIT_S if self._order.what == KILL else _LANDING_WAIT_S
         silent = bridge.answered_s is None and elapsed_s > wait_s
         if bridge.direct is None and (bridge.dead or silent):
-            bridge.direct = DirectOrder(state, self._order)
+            bridge.direct = DirectOrder(local, self._order)
         if bridge.direct is None:
             return
         bridge.direct.look()
@@ -223,14 +230,22 @@ class EmergencyStop:
                 bridge.done_s = elapsed_s
 
 
-def _obeys(record: VehicleRecord, order: Order) -> bool:
-    """True if this answer shows that the vehicle does as it was told."""
+def _bears(record: VehicleRecord, order: Order) -> bool:
+    """True if the bridge has taken the order, or a harder one; it leaves a pilot's vehicle alone."""
     if record.order and record.in_pilots_hands and not order.pilots_too:
         return True
-    took = order.what in record.order.partition(" ")[0] or KILL in record.order
+    return order.what in record.order.partition(" ")[0] or KILL in record.order
+
+
+def _obeys(record: VehicleRecord, order: Order) -> bool:
+    """True if this answer shows that the vehicle does as it was told."""
+    if record.in_pilots_hands and not order.pilots_too:
+        return _bears(record, order)
     if order.what == KILL:
-        return took and not record.armed and (record.heard or not record.mode)
-    return took and (record.heard or not record.armed)
+        obeys = not record.armed and (record.heard or not record.mode)
+    else:
+        obeys = record.heard or not record.armed
+    return _bears(record, order) and obeys
 
 
 def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
@@ -262,9 +277,8 @@ def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
         elif bridge.dead:
             text = f"silent: the bridge has ended; last: {record.state}{past}"
         else:
-            text = (
-                f"silent: the bridge (pid {record.pid}) does not answer; last: {record.state}{past}"
-            )
+            pid = "" if bridge.local is None else f" (pid {bridge.local.pid})"
+            text = f"silent: the bridge{pid} does not answer; last: {record.state}{past}"
         text += f"; {record.fate}" if record.fate and record.armed else ""
     return VehicleOutcome(bridge.name, obeyed, text, seconds)
 

@@ -250,6 +250,63 @@ class Elsewhere:
         pass
 
 
+class LastHeard:
+    """What was heard of bridges before the order: they have died or hang since."""
+
+    def __init__(self, *records):
+        self.vehicles = {record.name: record for record in records}
+
+    def send(self, order):
+        pass
+
+    def spin(self, seconds):
+        pass
+
+
+@pytest.mark.parametrize("order", [LAND, KILL])
+@pytest.mark.parametrize("last_order", ["", "land"])
+def test_the_last_state_of_a_dead_bridge_is_no_answer(bridge, tmp_path, dead, order, last_order):
+    """`stop --ready` had heard it on /diagnostics: it counted as an answer, and the vehicle was not told."""
+    far = Far()
+    port = Far()  # only to find a free one
+    free = port.port
+    port.close()
+    far.to = ("127.0.0.1", free)
+    bridge("bridge1", pid=dead, connect=f"udpin:127.0.0.1:{free}")
+    heard = VehicleRecord("bridge1", 0, 0, "", "", heard=True, armed=True, order=last_order)
+    operation = EmergencyStop(tmp_path, order, LastHeard(heard))
+    operation.begin()
+    deadline = time.monotonic() + PATIENCE_S
+    told = None
+    while (told is None or told.get_type() != "COMMAND_LONG") and time.monotonic() < deadline:
+        assert not operation.look()
+        far.send(heartbeat(base_mode=ARMED))
+        if select.select([far.socket], [], [], 0.0)[0]:
+            told = far.receive()
+    assert told is not None
+    far.send(heartbeat())  # disarmed
+    assert operation.run(PATIENCE_S)
+    (found,) = operation.outcomes()
+    assert "its bridge has ended, the vehicle is disarmed after" in found.text
+    operation.close()
+    far.close()
+
+
+@pytest.mark.parametrize("order", [LAND, KILL])
+def test_after_a_second_without_an_answer_a_bridge_is_passed_by_whatever_is_known(
+    bridge, give, order
+):
+    """By its record and its last status the vehicle is disarmed, which says nothing of now."""
+    far = Far()
+    bridge("bridge1", peer=f"127.0.0.1:{far.port}", armed=False)
+    heard = VehicleRecord("bridge1", 0, 0, "", "", heard=True)
+    done, found = give(order, 1.5, remote=LastHeard(heard))
+    assert not done
+    assert far.receive() is not None
+    assert "told past it by MAVLink, without an answer" in found["bridge1"].text
+    far.close()
+
+
 def test_bridges_of_other_hosts_are_ordered_until_they_report_it(bridge, give):
     bridge("bridge1").open()
     record = VehicleRecord("bridge2", 0, 0, "", "", heard=True, armed=True, mode="OFFBOARD")
