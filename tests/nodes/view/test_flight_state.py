@@ -89,12 +89,12 @@ def test_the_errors_are_those_of_the_verdict(name) -> None:
     state.on_slots(Decision(EPOCH_NS, slots))
     flown = with_slots(scenario, slots)
     phase = Phase(EPOCH_NS, flown, frozenset(), frozenset())
-    recording = SimpleNamespace(
-        flown=flown, first_ns=EPOCH_NS, by_phase=lambda grid: [(phase, slice(len(grid)))]
+    recording = SimpleNamespace(first_ns=EPOCH_NS, phases=(phase,))
+    block = SimpleNamespace(
+        stamps=np.array([EPOCH_NS + 3_200_000_000]),
+        positions={uav: place[None, :] for uav, place in positions.items()},
     )
-    tracks = {uav: place[None, :] for uav, place in positions.items()}
-    grid = np.array([EPOCH_NS + 3_200_000_000])
-    expected = formation_errors(recording, grid, tracks)
+    expected = formation_errors(recording, block)
     for uav in state.frame()["uavs"]:
         assert uav["error"] == pytest.approx(expected[uav["id"]][0], abs=1e-4)
 
