@@ -55,18 +55,15 @@ class NearObjects:
         rows = self._known(now_s, self._avoided)
         away = rows[:, 0:3] - position
         near = rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2]
-        return np.vstack([near, self._obstacles(position, mission_s)])
-
-    def _obstacles(self, position: Array, mission_s: float) -> Array:
-        """The rows (M, 7) of the obstacles in range, as the simulated sensor tells them."""
-        if not len(self._bodies):
-            return self._bodies[:, :NEAR_COLUMNS]
         bodies = self._bodies
+        if not len(bodies):
+            return near
         if self._moving:
             bodies = obstacle_rows(self._scenario, np.array([mission_s]))[0]
         own = np.zeros((1, ODOMETRY_SIZE))
         own[0, 0:3], own[0, 6] = position, 1.0
-        return near_objects(0, own, bodies, np.zeros(1), self._range_m)
+        # The obstacles in range, as the simulated sensor tells them.
+        return np.vstack([near, near_objects(0, own, bodies, np.zeros(1), self._range_m)])
 
     def uavs(self, now_s: float) -> Array:
         """The rows (M, 7) of all other UAVs, at any distance, avoided or not."""
@@ -95,15 +92,12 @@ class NearObjects:
             return nowhere
         stops = 0
         if age_s > _MOVING_S:
-            between_m = (
-                0.5 * keep_out_m
-            )  # from one to the next, so that their spheres hold the whole way
+            between_m = 0.5 * keep_out_m  # so that the spheres hold the whole way
             stops = 1 + math.floor(min(float(np.linalg.norm(way)) / between_m, _MOST_STOPS))
             keep_out_m = math.hypot(keep_out_m, 0.5 * between_m)
         rows = np.zeros((stops + 1, NEAR_COLUMNS))
-        rows[:, 0:3] = (
-            odometry[0:3] + np.linspace(1.0 - min(stops, 1), 1.0, stops + 1)[:, None] * way
-        )
+        shares = np.linspace(1.0 - min(stops, 1), 1.0, stops + 1)
+        rows[:, 0:3] = odometry[0:3] + shares[:, None] * way
         rows[:, 3] = keep_out_m
         if age_s < _COASTS_S:
             rows[-1, 4:7] = velocity

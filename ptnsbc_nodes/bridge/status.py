@@ -175,12 +175,8 @@ def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concer
     """
     state = _STATES.get(step, SafetyState.NOMINAL)
     if step in (Step.FLY, Step.HELD) and stream is Stream.HOLD:
-        why = (
-            "the setpoints of the controller are late"
-            if step is Step.FLY
-            else "its controller is away"
-        )
-        reason = f"held where it is: {why}"
+        late, away = "the setpoints of the controller are late", "its controller is away"
+        reason = f"held where it is: {late if step is Step.FLY else away}"
         yield Concern(SafetyState.HOLD_CLEAR, DiagnosticLevel.WARN, reason)
     elif fault and step is not Step.FLY:
         if step in FLYING:

@@ -92,13 +92,11 @@ class Companions:
 
     def climbs_first(self, place: StandingPlace) -> str:
         """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
-        waits = (
-            f"bridge{uav_id}"
-            for uav_id, other, apart_m, error_m in self._apart(place)
-            if uav_id < self._uav_id
-            and apart_m < self._keep_outs_m[uav_id] + self._spacing_m + error_m
-            and other.height_m < _CLEAR_M
-        )
+        waits = []
+        for uav_id, other, apart_m, error_m in self._apart(place):
+            close = apart_m < self._keep_outs_m[uav_id] + self._spacing_m + error_m
+            if uav_id < self._uav_id and close and other.height_m < _CLEAR_M:
+                waits.append(f"bridge{uav_id}")
         return ", ".join(waits)
 
     def _apart(self, place: StandingPlace) -> Iterator[tuple[int, Companion, float, float]]:
@@ -138,9 +136,7 @@ class Placement:
         self._mavlink, self._uav_ids, self._uav_id = scenario.mavlink, scenario.uav_ids, uav_id
         self._vehicle, self._state_publisher = vehicle, state_publisher
         self.start = scenario.uav(uav_id).position
-        keep_outs_m = {
-            other: scenario.keep_out_between(uav_id, other) for other in scenario.uav_ids
-        }
+        keep_outs_m = {other: scenario.keep_out_between(uav_id, other) for other in self._uav_ids}
         self.companions = Companions(uav_id, awaited, keep_outs_m, scenario.mavlink.climb_spacing_m)
 
     @property
