@@ -9,6 +9,9 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 
+KEY_BYTES = 32
+_SHARED_BITS = 0o077
+
 
 class OutputFileError(PtnsbcError, OSError):
     """A file that cannot be written."""
@@ -33,10 +36,6 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         with suppress(OSError):
             part.unlink()
         raise OutputFileError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-KEY_BYTES = 32
-_SHARED_BITS = 0o077
 
 
 class KeyFileError(PtnsbcError):

@@ -63,6 +63,9 @@ _RECORD_TYPES: dict[int, Any] = {
 }
 
 
+_stamp = attrgetter("stamp_ns")
+
+
 class BagMessage(NamedTuple):
     """One message of a bag."""
 
@@ -313,7 +316,6 @@ def _next_chunk(stream: IO[bytes], offset: int) -> int | None:
     return None
 
 
-_stamp = attrgetter("stamp_ns")
 R = TypeVar("R", Attachment, Metadata)
 
 

@@ -21,6 +21,18 @@ import yaml
 
 from ptnsbc_core.errors import PtnsbcError
 
+_PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
+_SEPARATOR = "=" * 80
+_TABLE_FILE = Path(__file__).with_name("definitions.json")
+METADATA_FILE = "metadata.yaml"
+METADATA_RECORD = "ptnsbc"  # of MCAP, with our own keys and values
+_LONGEST_METADATA = 4_000_000  # [bytes]
+_DEEPEST = 20
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
+_RELIABILITY = ("reliable", "best_effort")
+_DURABILITY = ("volatile", "transient_local")
+
 
 class BagError(PtnsbcError):
     """A bag cannot be written or read; the text names the file, the reason and the way out."""
@@ -28,11 +40,6 @@ class BagError(PtnsbcError):
 
 class DamagedError(BagError):
     """A bag is damaged, and salvage or repair can read around the damage."""
-
-
-_PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
-_SEPARATOR = "=" * 80
-_TABLE_FILE = Path(__file__).with_name("definitions.json")
 
 
 class Definition(NamedTuple):
@@ -135,17 +142,6 @@ def _from_table(package: str, name: str) -> dict[str, str]:
             "or source its workspace so that AMENT_PREFIX_PATH names it"
         )
     return entry
-
-
-METADATA_FILE = "metadata.yaml"
-METADATA_RECORD = "ptnsbc"  # of MCAP, with our own keys and values
-
-_LONGEST_METADATA = 4_000_000  # [bytes]
-_DEEPEST = 20
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_INFINITE = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
-_RELIABILITY = ("reliable", "best_effort")
-_DURABILITY = ("volatile", "transient_local")
 
 
 class TopicInfo(NamedTuple):

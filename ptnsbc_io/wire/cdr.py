@@ -30,6 +30,23 @@ _STRING_LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
 _LITTLE_FLOAT64 = np.dtype("<f8")
 _TIME = {"<": struct.Struct("<iI"), ">": struct.Struct(">iI")}
 
+_Writer = Callable[[bytearray, Any], None]
+_PRIMITIVES = {
+    "boolean": "<?",
+    "int8": "<b",
+    "uint8": "<B",
+    "int16": "<h",
+    "uint16": "<H",
+    "int32": "<i",
+    "uint32": "<I",
+    "int64": "<q",
+    "uint64": "<Q",
+    "float": "<f",
+    "double": "<d",
+}
+_SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+)(, \d+)?>")
+_ARRAY = re.compile(r"(?P<item>.+)\[\d+\]")
+
 
 class WireError(PtnsbcError):
     """A buffer is not the expected message, or CDR cannot carry a value."""
@@ -138,25 +155,6 @@ def float_bytes(values: Floats, count: int, what: str) -> bytes:
     if len(raw) != 8 * count:
         raise WireError(f"{what}: shape {np.shape(values)}: expected ({count},)")
     return raw
-
-
-_Writer = Callable[[bytearray, Any], None]
-
-_PRIMITIVES = {
-    "boolean": "<?",
-    "int8": "<b",
-    "uint8": "<B",
-    "int16": "<h",
-    "uint16": "<H",
-    "int32": "<i",
-    "uint32": "<I",
-    "int64": "<q",
-    "uint64": "<Q",
-    "float": "<f",
-    "double": "<d",
-}
-_SEQUENCE = re.compile(r"sequence<(?P<item>[^,>]+)(, \d+)?>")
-_ARRAY = re.compile(r"(?P<item>.+)\[\d+\]")
 
 
 def encode(message: Any) -> bytes:

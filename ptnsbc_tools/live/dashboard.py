@@ -7,8 +7,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.live.watch import Sink
 
 _WIDE = 110  # columns from which on everything is shown
@@ -29,6 +29,9 @@ _MOST_FAULTS = 5
 _NAME = 5  # letters of the nearest thing
 _BAR = 12
 _BAR_DECADES = 4.0  # a full bar is so many times the tolerance, in powers of ten
+
+_END_S = 5.0
+_ADDRESS = ("live view: ", "Foxglove: ")
 
 
 class Dashboard:
@@ -121,20 +124,20 @@ def _board(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
     table = _empty_table()
     table.add_column("UAV", no_wrap=True)
     table.add_column("step, or what it waits for", overflow="fold", ratio=1)
-    table.add_column("GNSS fix", no_wrap=True)
-    table.add_column("mode", no_wrap=True)
+    for name in ("GNSS fix", "mode"):
+        table.add_column(name, no_wrap=True)
     for name in ("bat %", "height m"):
         table.add_column(name, justify="right", no_wrap=True)
     for uav in frame["uavs"]:
-        height = _number(uav["pose"] and uav["pose"][2], 2)
         words = (
             _name(uav, scenario),
             uav["readiness"] or "not heard",
             uav["fix"] or "-",
             _mode(uav),
         )
+        numbers = _number(uav["battery"], 0), _number(uav["pose"] and uav["pose"][2], 2)
         style = "red" if uav["lost"] or uav["readiness"] is None else ""
-        table.add_row(*words, _number(uav["battery"], 0), height, style=style)
+        table.add_row(*words, *numbers, style=style)
     return table
 
 
@@ -217,10 +220,6 @@ def _bar(error: float | None, tolerance: float) -> str:
     return f"{bar[:middle]}|{bar[middle:]}"
 
 
-_END_S = 5.0
-_ADDRESS = ("live view: ", "Foxglove: ")
-
-
 @dataclass(frozen=True)
 class Viewing:
     """The views of a flight while it is flown."""
@@ -238,17 +237,9 @@ class Viewing:
 
     def beside(
         self, say: Callable[[str], None]
-    ) -> Callable[[Mapping[str, str], Path], ExitStack] | None:
+    ) -> Callable[[Mapping[str, str], Path], AbstractContextManager[None]] | None:
         """The value for `FleetOptions.beside`; None when nothing is shown."""
-        if not self.wanted:
-            return None
-
-        def run(settings: Mapping[str, str], scenario_file: Path) -> ExitStack:
-            stack = ExitStack()
-            stack.enter_context(_process(self, settings, scenario_file, say))
-            return stack
-
-        return run
+        return partial(_process, self, say) if self.wanted else None
 
 
 def _command(viewing: Viewing, domain: str, scenario_file: Path) -> list[str]:
@@ -267,7 +258,7 @@ def _command(viewing: Viewing, domain: str, scenario_file: Path) -> list[str]:
 
 @contextmanager
 def _process(
-    viewing: Viewing, settings: Mapping[str, str], scenario_file: Path, say: Callable[[str], None]
+    viewing: Viewing, say: Callable[[str], None], settings: Mapping[str, str], scenario_file: Path
 ) -> Iterator[None]:
     process = subprocess.Popen(
         _command(viewing, settings["ROS_DOMAIN_ID"], scenario_file),

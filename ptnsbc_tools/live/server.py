@@ -31,6 +31,18 @@ MOST_ROWS = 4000
 """Rows that are kept for a page that joins later: when there are more, every other one is dropped."""
 _SPACING_S = 0.1
 
+_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
+HOST = "127.0.0.1"
+ORDERS = ("hold", "land", "stop")
+"""The orders that a page may give; each is confirmed there."""
+_MOST_PAGES = 16
+_LARGEST_ORDER = 1024  # bytes
+_LOOK_S = 0.2
+_SECURITY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src ws://{host}"
+)
+
 
 class Feed:
     """Written by one thread, read by one thread for each page."""
@@ -106,9 +118,6 @@ def _text(message: dict[str, Any]) -> str:
     return json.dumps(message, allow_nan=False, separators=(",", ":"))
 
 
-_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
-
-
 @cache
 def live_page() -> str:
     """The whole page; what it shows comes over its socket."""
@@ -120,18 +129,6 @@ def live_page() -> str:
         script="\n".join(scripts),
         plotly=plotly(),
     )
-
-
-HOST = "127.0.0.1"
-ORDERS = ("hold", "land", "stop")
-"""The orders that a page may give; each is confirmed there."""
-_MOST_PAGES = 16
-_LARGEST_ORDER = 1024  # bytes
-_LOOK_S = 0.2
-_SECURITY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data: blob:; connect-src ws://{host}"
-)
 
 
 class LiveServerError(PtnsbcError):

@@ -23,6 +23,10 @@ from ptnsbc_tools.report.page import obstacles_of, uav_of
 
 _PATH_POINTS = 400
 
+FRAMES_HZ = 10
+_JOIN_S = 30.0
+_STOP_S = 30.0
+
 
 def stage(scenario: Scenario) -> dict[str, Any]:
     """Name, UAVs, obstacles, the leader's path and the figure of errors; times [s], lengths [m]."""
@@ -56,11 +60,6 @@ def _bounds(scenario: Scenario, path: Any) -> list[list[float]]:
     low = np.min([path.min(0) + offsets.min(0), starts.min(0)], axis=0)
     high = np.max([path.max(0) + offsets.max(0), starts.max(0)], axis=0)
     return [low.tolist(), high.tolist()]
-
-
-FRAMES_HZ = 10
-_JOIN_S = 30.0
-_STOP_S = 30.0
 
 
 Sink = Callable[[dict[str, Any]], None]

@@ -24,6 +24,9 @@ _OTHER_DASH = 3  # of another flight: dots
 OBSTACLE = "#7F7F7F"
 GOOD = "#009E73"
 
+_IN_MEMORY = 20_000  # points of a curve; no figure shows more
+Key = TypeVar("Key", bound=Hashable)
+
 
 class Look(NamedTuple):
     """The style of one curve."""
@@ -118,11 +121,6 @@ def overlaid(charts: Sequence[Chart], others: Sequence[Chart], name: str) -> lis
         return replace(chart, curves=(*chart.curves, *curves), note=note)
 
     return [with_others(chart) for chart in charts]
-
-
-_IN_MEMORY = 20_000  # points of a curve; no figure shows more
-
-Key = TypeVar("Key", bound=Hashable)
 
 
 class Points(NamedTuple):

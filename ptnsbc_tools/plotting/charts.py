@@ -36,6 +36,11 @@ from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 
+FLOOR_M = 1e-4  # of logarithmic axes
+MOST_PAIRS = 24  # in one figure
+_FLOOR_MS = 0.1
+_MOST_LIMITS = 6  # lines of keep-outs in one figure
+
 
 @dataclass(frozen=True)
 class FlightView:
@@ -138,12 +143,6 @@ def read_view(bag: Path, options: ReadOptions) -> FlightView:
         PtnsbcError: no bag, cut, damaged, or without a scenario.
     """
     return view_of(read_recording(bag, options), read_status(bag), options.tolerance, bag)
-
-
-FLOOR_M = 1e-4  # of logarithmic axes
-MOST_PAIRS = 24  # in one figure
-_FLOOR_MS = 0.1
-_MOST_LIMITS = 6  # lines of keep-outs in one figure
 
 
 def _look_of(flight: FlightView, uav: int) -> Look:

@@ -42,6 +42,10 @@ _PATH_POINTS = 400
 _WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that moves
 
+_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
+_NO_VERDICT = "none"
+_WORDS = ("met", "missed", "violated", "void", "error", "warning")
+
 
 class Pack:
     """Collects arrays and puts a reference in the place of each."""
@@ -72,69 +76,58 @@ def compressed(data: bytes) -> str:
 
 def content(flight: FlightView, other: FlightView | None = None) -> str:
     """The pack of a flight; the curves of `other` beside its own."""
-    pack = Pack()
+    pack, shown = Pack(), list(charts(flight))
+    if other is not None:
+        shown = overlaid(shown, list(charts(other)), f"flight {other.name}")
+    curves = max(sum(len(chart.curves) for chart in shown), 1)
+    points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
         "space": _space(flight, pack) if flight.uavs and flight.samples > 1 else None,
-        "charts": _charts(flight, other, pack),
+        "charts": [_chart(chart, pack, points) for chart in shown],
     }
     return pack.encode(text)
 
 
-def _frames(flight: FlightView) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Evenly spaced instants [ns] from the first to the last shown."""
-    first, last = flight.window_ns
-    most = max(_MOST_POSES // len(flight.uavs), 2)
-    count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
-    return first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
-
-
-def _poses(flight: FlightView, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
-    """Position and quaternion (F, N, 7) of every UAV."""
-    tracks = (flight.recording.odometry[uav] for uav in flight.uavs)
-    return np.stack([_poses_of(track, stamps) for track in tracks], axis=1)
-
-
 def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
     """Position and quaternion (F, 7) of one UAV."""
-    found = []
+    poses_of_blocks = []
     before, done = Series(np.empty(0, np.int64), np.empty((0, 7))), 0
     for block in odometry.blocks():
         poses = np.concatenate((before.values, block.values[:, :7]))
-        near = Series(np.concatenate((before.t_ns, block.t_ns)), _same_signs(poses))
+        # The mean of q and -q is zero: the signs of the quaternions do not change.
+        turns = poses[:, 3:]
+        flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
+        turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+        near = Series(np.concatenate((before.t_ns, block.t_ns)), poses)
         last = block.last_ns == odometry.last_ns
         until = stamps.size if last else int(np.searchsorted(stamps, block.last_ns, side="right"))
         if until > done:
-            found.append(near.at(stamps[done:until]))
+            poses_of_blocks.append(near.at(stamps[done:until]))
         before, done = near.rows(near.size - 1, near.size), until
-    return np.concatenate(found)
-
-
-def _same_signs(poses: Array) -> Array:
-    """Poses (T, 7) whose quaternions do not change sign: the mean of q and -q is zero."""
-    turns = poses[:, 3:]
-    flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
-    turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
-    return poses
+    return np.concatenate(poses_of_blocks)
 
 
 def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
-    scenario = flight.scenario
-    stamps = _frames(flight)
+    scenario, recording = flight.scenario, flight.recording
+    first, last = flight.window_ns
+    most = max(_MOST_POSES // len(flight.uavs), 2)
+    count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
+    stamps = first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
     t = flight.times(stamps)
+    poses = [_poses_of(recording.odometry[uav], stamps) for uav in flight.uavs]
     vector = leader_trajectory(scenario)
     path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
     path = np.stack([reference(vector, float(one)).position for one in path_t])
+    begins = [((t0_ns - recording.start_ns) * NANO, leg) for t0_ns, leg in recording.epochs]
     return {
         "t": pack.add(t),
-        "poses": pack.add(_poses(flight, stamps)),
+        "poses": pack.add(np.stack(poses, axis=1)),  # (F, N, 7)
         "path": pack.add(path),
-        "legs": _legs(flight, t),
+        "legs": [(begin, leg) for begin, leg in begins if 0 < begin <= float(t[-1])],
         "deadlines": [mark.t for mark in deadlines(flight)],
         "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
-        "obstacles": obstacles_of(
-            scenario, (flight.recording.start_ns - flight.recording.first_ns) * NANO
-        ),
+        "obstacles": obstacles_of(scenario, (recording.start_ns - recording.first_ns) * NANO),
     }
 
 
@@ -162,30 +155,16 @@ def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any
     return found
 
 
-def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:
-    """Begin [s] and name of every leg after the judged one."""
-    epochs = flight.recording.epochs
-    begun = [((t0_ns - flight.recording.start_ns) * NANO, leg) for t0_ns, leg in epochs]
-    return [(begin, leg) for begin, leg in begun if 0 < begin <= float(t[-1])]
-
-
-def _moving_places(
-    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
-) -> list[int] | None:
-    """Places (F, 3) of a UAV beside the leader at every instant; None where they stand still."""
-    scenario = flight.scenario
-    if not moves(scenario.formation) or uav == scenario.leader.id:
-        return None
-    times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
-    return pack.add(places_beside_leader(scenario, uav, times))
-
-
 def _uav(
     flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
 ) -> dict[str, Any]:
+    scenario, places = flight.scenario, None
+    if moves(scenario.formation) and uav != scenario.leader.id:  # (F, 3), beside the leader
+        times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
+        places = pack.add(places_beside_leader(scenario, uav, times))
     return {
-        **uav_of(flight.scenario, uav),
-        "places": _moving_places(flight, uav, stamps, pack),
+        **uav_of(scenario, uav),
+        "places": places,
         "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
         "deadlocks": [flight.seconds(window) for window in flight.deadlocks(uav)],
     }
@@ -204,15 +183,6 @@ def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
         "colour": style.colour,
         "dash": style.dash,
     }
-
-
-def _charts(flight: FlightView, other: FlightView | None, pack: Pack) -> list[dict[str, Any]]:
-    found = list(charts(flight))
-    if other is not None:
-        found = overlaid(found, list(charts(other)), f"flight {other.name}")
-    curves = max(sum(len(chart.curves) for chart in found), 1)
-    points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
-    return [_chart(chart, pack, points) for chart in found]
 
 
 def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
@@ -246,11 +216,6 @@ def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
     }
 
 
-_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
-_NO_VERDICT = "none"
-_WORDS = ("met", "missed", "violated", "void", "error", "warning")
-
-
 def asset(name: str) -> str:
     """The text of a file in assets/."""
     return files(__package__).joinpath("assets", name).read_text("utf-8")
@@ -261,10 +226,6 @@ def plotly() -> str:
     """The library plotly.js, compressed: it is larger than all the rest of the page."""
     library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
     return compressed(library)
-
-
-def _item(name: str, value: str) -> str:
-    return f"<li>{escape(name)} <b>{escape(value)}</b></li>"
 
 
 def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
@@ -280,7 +241,9 @@ def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
         facts["judged"] = f"{flight.verdict.duration_s:.1f} s"
     if "mode" in about:
         facts["flown"] = about["mode"]
-    return "".join(_item(name, str(value)) for name, value in facts.items())
+    return "".join(
+        f"<li>{escape(name)} <b>{escape(str(value))}</b></li>" for name, value in facts.items()
+    )
 
 
 def _cell(value: Any) -> str:
