@@ -1,7 +1,9 @@
 """The index of an MCAP file's chunks, kept on the disk while the file is written.
 
-An entry names the place of every topic in its chunk. Twenty UAVs have 180 topics, and a chunk ends twice a
-second: as objects of the MCAP library ten minutes of entries take 24 MB of memory.
+The promise: the memory of a recorder does not grow with the flight (`bench.soak` measures it). An entry names the
+place of every topic in its chunk. Twenty UAVs have 180 topics, and a chunk ends twice a second: as objects of the MCAP
+library ten minutes of entries take 24 MB. The library has no option to keep them elsewhere (foxglove/mcap: its Writer
+collects them for the summary), so its private list is replaced, here and nowhere else.
 """
 
 from __future__ import annotations
@@ -48,8 +50,7 @@ class ChunkIndexFile:
 def keep_on_disk(writer: Writer, folder: Path) -> ChunkIndexFile:
     """Let a writer that has no chunk yet keep the index of its chunks in a file.
 
-    The library has no option for it: its private list is replaced, and `tests/io/bag/test_chunk_index.py`
-    fails when a version of the library no longer has that list.
+    `tests/io/bag/test_chunk_index.py` fails when a version of the library no longer has its private list.
     """
     indexes = ChunkIndexFile(folder)
     writer._Writer__chunk_indices = indexes
