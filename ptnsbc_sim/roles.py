@@ -14,7 +14,7 @@ from ptnsbc_core.types import NEVER_RECEIVED_S, AgentState, Array, NeighbourMoti
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.membership import (
+from ptnsbc_sim.scenario.slots import (
     Formations,
     View,
     changed,

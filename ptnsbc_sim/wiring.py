@@ -11,7 +11,7 @@ from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario, several_parents
-from ptnsbc_sim.scenario.mission.membership import NEVER_NS, joins_ns, leaves_ns
+from ptnsbc_sim.scenario.slots import NEVER_NS, joins_ns, leaves_ns
 
 
 class ParentRows(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from docs.make.fault_table import ANSWERS, FaultAnswer
 from docs.make.markdown import table
-from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultRule
+from ptnsbc_sim.scenario.mission.fault_rules import FAULTS, FaultRule
 
 _HEADINGS = ("Kind", "What happens", "Needs", "Takes `duration_s`", "Headless", "Lock-step")
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from docs.make.markdown import table
 from docs.make.schema import REQUIRED, Row, rows
 from ptnsbc_sim.scenario import gains, model
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
-from ptnsbc_sim.scenario.reading.defaults import gain_defaults
+from ptnsbc_sim.scenario.gains import gain_defaults
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
 _HEADINGS = ("Key", "Type", "Unit", "Default", "Range", "Meaning")

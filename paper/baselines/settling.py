@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.swarm import HeadlessFlight
 
 SHARE_OF_START = 0.02

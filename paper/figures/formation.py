@@ -14,7 +14,7 @@ from paper.output import ExperimentFolder, time_column
 from ptnsbc_core.tasks.formation_tasks import TASKS, evaluate
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
-from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_sim.scenario.constants import reference_offset
 from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 
 _SHORTEST_ARM_M = 0.05

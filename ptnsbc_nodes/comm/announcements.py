@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency.orders import Order, parse_order
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_sim.scenario.slots import Slots, SlotsError, require_slots
 

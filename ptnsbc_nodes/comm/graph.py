@@ -11,7 +11,7 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
 
 LEAD_TICKS = 4

@@ -9,8 +9,8 @@ from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
-from ptnsbc_sim.scenario.mission.membership import NEVER_NS, leaves_ns
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
+from ptnsbc_sim.scenario.slots import NEVER_NS, leaves_ns
 
 FIRST_LEG = "form"
 _MOST_LEGS = 256  # that are remembered

@@ -20,7 +20,7 @@ from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.fleet_node import FleetNode
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_sim.scenario.mission.faults import PROCESS, RECORDER, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import PROCESS, RECORDER, FaultBlock
 
 _KILLED_S = 5.0
 _LISTENERS_S = 2.0  # without a further listener to faults: all are discovered

@@ -35,7 +35,7 @@ from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
 from ptnsbc_nodes.security.policy import FLEET, OPERATOR
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import PROCESS
+from ptnsbc_sim.scenario.mission.fault_rules import PROCESS
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
 

@@ -34,7 +34,7 @@ from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 from ptnsbc_sim.plugins.uav_plugins import Heard
 from ptnsbc_sim.scenario import SeveralParents
-from ptnsbc_sim.scenario.mission.faults import MOST_DELAY_S, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import MOST_DELAY_S, FaultBlock
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""

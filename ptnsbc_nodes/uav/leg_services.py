@@ -31,9 +31,9 @@ from ptnsbc_sim.scenario.mission.legs import (
     ScheduledLeg,
     Word,
     leg_names,
+    utc_time,
     word_text,
 )
-from ptnsbc_sim.scenario.mission.utc import utc_time
 
 _MOST_WAIT_S = 3600.0  # for the start of a mission
 

@@ -30,7 +30,7 @@ from ptnsbc_sim.counters import UavCounters
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.mission.membership import Formations, Membership, View
+from ptnsbc_sim.scenario.slots import Formations, Membership, View
 
 
 class Tick(NamedTuple):

@@ -15,7 +15,7 @@ from ptnsbc_nodes.comm.announcements import OrderedFault
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.disturbances.faults import strikes, without_position
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock
 
 _MOST_INJECTED = 20  # that are remembered
 _WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed

@@ -39,7 +39,7 @@ from ptnsbc_nodes.view.goals import LegGoal, MissionGoal
 from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import agent_config
+from ptnsbc_sim.scenario.constants import agent_config
 from ptnsbc_sim.scenario.mission.legs import CANCEL, leg_names, number_of
 
 STATE = "/formation/state"

@@ -16,7 +16,7 @@ from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import FOR_EVER_NS, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FOR_EVER_NS, FaultBlock
 
 _GONE = ("kill", "restart")
 _SILENCING = ("silence", "nan", *_GONE)  # a receiver refuses what is no number

@@ -14,7 +14,7 @@ from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
 from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, six
 from ptnsbc_sim.plants.integrate import initial_state
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import three
+from ptnsbc_sim.scenario.constants import three
 
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:

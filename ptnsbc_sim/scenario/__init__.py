@@ -1,6 +1,6 @@
 """Scenario files: read, validated, and turned into the configuration of every UAV."""
 
-from ptnsbc_sim.scenario.build import SeveralParents, agent_config, several_parents
+from ptnsbc_sim.scenario.constants import SeveralParents, agent_config, several_parents
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.reading.reader import available

@@ -21,6 +21,9 @@ from pydantic_core import PydanticCustomError
 LARGEST = 1e12
 """Size of the largest number of a quantity: the laws square and cube them."""
 
+MOST_SAMPLES = 200_000
+"""Characters of a CSV file at most."""
+
 # Suffix of a key -> its unit as we write it. Longer suffixes first: `_m_s2` also ends in `_s2`.
 _UNITS = {
     "_rad_s2": "rad/s^2",

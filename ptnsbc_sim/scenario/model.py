@@ -29,7 +29,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
-from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock

@@ -25,6 +25,7 @@ from ptnsbc_core.tasks.signed_distance import (
 from ptnsbc_core.types import Array, Trajectory
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, boxes_of
 from ptnsbc_sim.scenario.fields import (
+    MOST_SAMPLES,
     Block,
     Name,
     NotNegative,
@@ -33,10 +34,11 @@ from ptnsbc_sim.scenario.fields import (
     PositiveVec3,
     Vec3,
 )
-from ptnsbc_sim.scenario.mission import curves
-from ptnsbc_sim.scenario.mission.curves import trajectory_of
-from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
-from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
+from ptnsbc_sim.scenario.mission.trajectories import (
+    TrajectoryBlock,
+    trajectory_of,
+    trajectory_problems,
+)
 
 Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
 
@@ -102,7 +104,7 @@ class ObstacleBlock(Block):
     """*map* The boxes, at most 400: rows x, y, z, x, y, z of two corners [m]."""
 
 
-def problems(block: ObstacleBlock) -> Iterator[str]:
+def obstacle_problems(block: ObstacleBlock) -> Iterator[str]:
     """The problems of an obstacle, as `key: value: expectation` below it."""
     yield from _wrong_keys(block)
     if block.kind not in ("ground", "map") and (block.position_m is None) == (
@@ -122,7 +124,7 @@ def problems(block: ObstacleBlock) -> Iterator[str]:
         except ValueError as error:
             yield f"samples: {error}"
     if block.trajectory is not None:
-        for problem in curves.problems(block.trajectory):
+        for problem in trajectory_problems(block.trajectory):
             yield f"trajectory.{problem}"
 
 

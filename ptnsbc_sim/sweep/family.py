@@ -2,12 +2,13 @@
 
 A family replaces the UAVs, the tree, the shape, the leader's path and, where it names them, the deadline, the
 obstacles and the wind of the base scenario. Vehicle, sensors, gains and task stay the base scenario's.
+`family.schema.json` beside this module is the JSON schema of a family, for editors.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -15,6 +16,7 @@ from ptnsbc_core.tasks.formation_tasks import TaskName
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.reading import reader
+from ptnsbc_sim.scenario.schema import as_text, described, headed
 
 # A range is [low, high]; a number alone is that number in every draw.
 Range = Annotated[
@@ -178,3 +180,18 @@ def family_from_text(text: str, source: str = "family") -> Family:
         return Family.model_validate(tree)
     except ValidationError as error:
         raise scenario_error(source, error, tree) from None
+
+
+FILE = Path(__file__).with_name("family.schema.json")
+"""The schema that the modeline of a family file names."""
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema, draft 2020-12, of a family file."""
+    told = "Distributions of scenarios, for ptnsbc sweep --family. docs/sweeps.md explains it."
+    return headed(described(Family), "Family of scenarios of ptnsbc", told)
+
+
+def text() -> str:
+    """The schema as the committed file holds it."""
+    return as_text(schema())

@@ -27,8 +27,7 @@ from ptnsbc_sim.scenario.mission.legs import takes_off
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.scenario.reading.loading import completed
-from ptnsbc_sim.scenario.scenario import scenario_of
+from ptnsbc_sim.scenario.scenario import completed, scenario_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import Family, family_from_text
 from ptnsbc_sim.sweep.family_draw import draw_family

@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict.members import by_phase
 from ptnsbc_sim.verdict.recording import Instants, Recording, seconds

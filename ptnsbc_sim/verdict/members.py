@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.membership import (
+from ptnsbc_sim.scenario.slots import (
     NEVER_NS,
     Formations,
     Membership,

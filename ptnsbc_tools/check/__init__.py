@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.check.faults import faults
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 from ptnsbc_tools.check.gains import (
     changes,
@@ -23,13 +22,12 @@ from ptnsbc_tools.check.geometry import (
     recovery,
     sensor,
     shape,
+    slots,
     spacing,
     starts_clear,
+    turn,
 )
-from ptnsbc_tools.check.membership import membership
-from ptnsbc_tools.check.mission import legs, words
-from ptnsbc_tools.check.slots import slots, turn
-from ptnsbc_tools.check.trajectory import trajectory
+from ptnsbc_tools.check.mission import faults, legs, membership, trajectory, words
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 

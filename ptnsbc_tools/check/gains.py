@@ -10,12 +10,13 @@ from ptnsbc_sim.disturbances.build import position_noise_of
 from ptnsbc_sim.disturbances.position_noise import correction_std_m, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.deadline import (
+    limits_left,
+    limits_left_by_mission,
     longest_need,
     shortest_deadlines,
     start_errors,
 )
-from ptnsbc_sim.scenario.approach.limits import limits_left, limits_left_by_mission
-from ptnsbc_sim.scenario.communication import STABILITY_LIMIT
+from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 

@@ -1,15 +1,32 @@
-"""Pre-flight checks of the legs of a mission."""
+"""Pre-flight checks of what happens in flight: trajectory, legs, UAVs that come and go, faults."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
+import numpy as np
+
+from ptnsbc_core.behaviours.recovery import recovery_duration
+from ptnsbc_core.curves.trajectory import reference, reference_positions
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
-from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, Word, leg_names
+from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader, recovery_config
+from ptnsbc_sim.scenario.mavlink import Geofence
+from ptnsbc_sim.scenario.mission.fault_rules import PROCESS, FaultBlock, modelled
+from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, TakeOffLeg, Word, leg_names
+from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
+from ptnsbc_sim.scenario.mission.trajectories import extremes
+from ptnsbc_sim.scenario.slots import (
+    NEVER_NS,
+    Formations,
+    Membership,
+    joins_ns,
+    leaves_ns,
+)
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.check.geometry import moving_spacing
-from ptnsbc_tools.check.trajectory import trajectory
 
 
 def legs(scenario: Scenario) -> Findings:
@@ -67,3 +84,257 @@ def _said(scenario: Scenario) -> Scenario:
         last = scenario.legs[-1]
         scenario = scenario.with_words((*scenario.words, Word(last.number + 1, last.end_s)))
     return scenario
+
+
+_KEY = "leader.trajectory"
+_LEAST_SPEED_M_S = 0.05  # below it a path has no heading to speak of
+_JUMP_M_S = 0.01  # change of the velocity from one piece of a curve to the next that counts as none
+_SAMPLES = 5000
+
+
+def _extremes(scenario: Scenario) -> Findings:
+    """Speed, acceleration, jerk and turn against what the vehicle follows."""
+    path = scenario.leader.trajectory
+    most, limits = extremes(path, scenario.timing.duration_s), scenario.gains.filter
+    jerk_limit = (
+        scenario.world.gravity_m_s2 * limits.max_rate_rad_s
+    )  # a quadrotor has to tilt for it
+    tilts = scenario.plant.kind == "quadrotor"
+    rough = tilts and most.jerk_m_s3 > jerk_limit > 0.0
+    yield Finding(
+        WARNING if rough else INFO,
+        _KEY,
+        f"at most {most.speed_m_s:.3g} m/s, {most.acceleration_m_s2:.3g} m/s^2, {most.jerk_m_s3:.3g} m/s^3",
+        f"jerk <= {jerk_limit:.3g} m/s^3, gravity times gains.filter.max_rate_rad_s"
+        if tilts
+        else "speed and acceleration below the limits of gains.filter",
+        "slow it down, or use through: minimum_snap" if rough else "",
+    )
+    if most.jump_m_s > _JUMP_M_S:
+        yield Finding(
+            WARNING,
+            _KEY,
+            f"its velocity jumps by {most.jump_m_s:.3g} m/s",
+            f"<= {_JUMP_M_S:g} m/s",
+            "let the rows of the file begin and end at rest, or end the flight before them",
+        )
+    if getattr(path, "heading", "fixed") == "path":
+        still = most.slowest_m_s < _LEAST_SPEED_M_S
+        fast = most.turn_rad_s > limits.max_rate_rad_s
+        yield Finding(
+            ERROR if still else WARNING if fast else INFO,
+            f"{_KEY}.heading",
+            f"path: horizontal speed down to {most.slowest_m_s:.3g} m/s, turns by up to {most.turn_rad_s:.3g} rad/s",
+            f">= {_LEAST_SPEED_M_S:g} m/s, <= {limits.max_rate_rad_s:g} rad/s",
+            "a path has no heading where it stands still: set heading: fixed, or yaws_rad"
+            if still
+            else "widen its curves, or slow it down"
+            if fast
+            else "",
+        )
+
+
+def _outside(places: Array, fence: Geofence) -> Array:
+    """The distance [m] of each of the places (T, 3) from the fence, at most 0 inside."""
+    far = np.full(len(places), -np.inf)
+    if fence.radius_m is not None:
+        far = np.maximum(far, np.hypot(places[:, 0], places[:, 1]) - fence.radius_m)
+    if fence.box_min_m is not None and fence.box_max_m is not None:
+        beyond = np.maximum(fence.box_min_m - places, places - fence.box_max_m)
+        far = np.maximum(far, beyond.max(axis=1))
+    return far
+
+
+def _path(scenario: Scenario, times: Array) -> Array:
+    """Positions (T, 3) of the leader [m]; the corners (8, 3) of the region if setpoints come from a topic."""
+    path = scenario.leader.trajectory
+    if isinstance(path, SetpointTrajectory) and scenario.takes_setpoints:
+        corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))
+        return np.array(list(corners), dtype=np.float64)
+    return reference_positions(leader_trajectory(scenario), times)
+
+
+def _up_s(scenario: Scenario) -> float:
+    """The time [s] from which every UAV is off the ground: the end of the take-off of a mission."""
+    legs = scenario.legs
+    return legs[0].due_s if legs and isinstance(legs[0].leg, TakeOffLeg) else 0.0
+
+
+def _region(scenario: Scenario) -> Findings:
+    """Height above the ground, and the fence, of every place of the formation."""
+    times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
+    path = _path(scenario, times)
+    times = times[: len(path)]
+    places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
+    up = times >= _up_s(scenario)
+    heights = {uav: float(at[up, 2].min(initial=np.inf)) for uav, at in places.items()}
+    lowest = min(heights, key=lambda uav: heights[uav])
+    height = heights[lowest]
+    yield Finding(
+        ERROR if height <= 0.0 else INFO,
+        _KEY,
+        f"the place of UAV {lowest} comes down to {height:.2f} m",
+        "> 0 m, the ground",
+        "raise the trajectory, or the formation" if height <= 0.0 else "",
+    )
+    outside = {
+        uav: float(_outside(at, scenario.mavlink.geofence).max()) for uav, at in places.items()
+    }
+    uav = max(outside, key=lambda one: outside[one])
+    if outside[uav] > 0.0:
+        yield Finding(
+            ERROR,
+            "mavlink.geofence",
+            f"the place of UAV {uav} goes {outside[uav]:.2f} m outside",
+            "every place of the formation inside",
+            "widen the fence, or move the trajectory",
+        )
+
+
+def trajectory(scenario: Scenario) -> Findings:
+    """The leader's trajectory and the places of the others along it."""
+    yield from _extremes(scenario)
+    yield from _region(scenario)
+
+
+def membership(scenario: Scenario) -> Findings:
+    """The times of joining and leaving, who leads at which time, and what becomes of empty slots."""
+    if not scenario.formation.reconfigures:
+        return
+    yield from _times(scenario)
+    yield from _lead(scenario)
+    if scenario.formation.vacancy == "close_up" and max(scenario.topology.depth.values()) < 2:
+        yield Finding(
+            WARNING,
+            "formation.vacancy",
+            "close_up, and no UAV of communication.tree is behind a follower",
+            "a tree with lines, along which UAVs move up",
+            "set keep, which does the same here, or let followers have parents among them",
+        )
+
+
+def _times(scenario: Scenario) -> Findings:
+    """The times of the UAVs against the length of the flight."""
+    end_s = scenario.timing.duration_s
+    for index, uav in enumerate(scenario.uavs):
+        for key, at_s, verb in (
+            ("joins_s", uav.joins_s, "joins"),
+            ("leaves_s", uav.leaves_s, "leaves"),
+        ):
+            if at_s is not None and at_s >= end_s:
+                yield Finding(
+                    WARNING,
+                    f"uavs[{index}].{key}",
+                    f"{at_s:g} s: UAV {uav.id} never {verb}",
+                    f"< timing.duration_s, {end_s:g} s",
+                    f"lower {key}, or fly longer",
+                )
+        if uav.joins_s is not None and uav.joins_s < end_s:
+            yield _joined(scenario, index, uav.joins_s)
+
+
+def _joined(scenario: Scenario, index: int, joins_s: float) -> Finding:
+    """The time that a UAV which joins needs to its place, at the limits of its way back."""
+    uav = scenario.uavs[index].id
+    leader = np.array(reference(leader_trajectory(scenario), joins_s).position)
+    place = leader + places_beside_leader(scenario, uav, np.array([joins_s]))[0]
+    away_m = float(np.linalg.norm(place - scenario.uav(uav).position))
+    needed_s = joins_s + recovery_duration(away_m, recovery_config(scenario, uav))
+    leaves_s = scenario.uavs[index].leaves_s
+    until_s = min(
+        scenario.timing.duration_s, scenario.timing.duration_s if leaves_s is None else leaves_s
+    )
+    late = needed_s > until_s
+    return Finding(
+        WARNING if late else INFO,
+        f"uavs[{index}].joins_s",
+        f"{joins_s:g} s: UAV {uav} is {away_m:.2f} m from its place then, and needs until {needed_s:.2f} s",
+        f"<= {until_s:g} s, when the flight ends or the UAV leaves",
+        "join earlier or nearer, or fly longer" if late else "",
+    )
+
+
+def _lead(scenario: Scenario) -> Findings:
+    """The leaders, by the plan and by the faults that end processes; what is lost unforeseen is not known here."""
+    formations, line = Formations(scenario), scenario.leader.successors
+    free_s = None  # from when the first leader is away
+    away: set[int] = set()
+    for at_s in _changes_s(scenario):
+        absent = _absent(scenario, at_s, killed=True)
+        away |= absent
+        leader_away = scenario.leader.id in absent
+        if free_s is None and leader_away:
+            free_s = at_s
+            yield from _idle_successors(scenario, at_s, absent, away)
+        if formations.of(Membership(frozenset(absent), frozenset(away - absent))) is None:
+            planned = not {scenario.leader.id, *line} - _absent(scenario, at_s, killed=False)
+            yield Finding(
+                ERROR if planned else WARNING,
+                "leader.successors",
+                f"[{', '.join(map(str, line))}]: from {at_s:g} s on nobody leads: all hold",
+                "a successor that is there then",
+                "name one, or let the leader or a successor stay",
+            )
+            return
+
+
+def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: set[int]) -> Findings:
+    """The successors that cannot take over when the leader is away."""
+    for index, uav in enumerate(scenario.leader.successors):
+        if uav in away:
+            why = "is away then" if uav in absent else "was away before"
+            yield Finding(
+                WARNING,
+                f"leader.successors[{index}]",
+                f"UAV {uav} {why}, when the lead is free at {at_s:g} s",
+                "a UAV that is there from the begin on until then",
+                "name another one, or let it stay",
+            )
+
+
+def _changes_s(scenario: Scenario) -> list[float]:
+    """The times within the flight at which somebody comes or goes."""
+    spans = [span for uav in scenario.uav_ids for span in _gone_ns(scenario, uav, killed=True)]
+    found = {at_ns * 1e-9 for span in spans for at_ns in span}
+    return sorted(at_s for at_s in found if 0.0 <= at_s < scenario.timing.duration_s)
+
+
+def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
+    at_ns = round(at_s * 1e9)
+    return {
+        uav
+        for uav in scenario.uav_ids
+        if any(since <= at_ns < until for since, until in _gone_ns(scenario, uav, killed=killed))
+    }
+
+
+def _gone_ns(scenario: Scenario, uav: int, *, killed: bool) -> list[tuple[int, int]]:
+    """The spans [ns] in which a UAV is away; `killed`: also those of faults that end its process."""
+    found = [(0, joins_ns(scenario, uav)), (leaves_ns(scenario, uav), NEVER_NS)]
+    stale_ns = round(float(scenario.communication.stale_s) * 1e9)
+    for fault in modelled(scenario.faults) if killed else ():
+        if fault.rule.strikes == PROCESS and fault.struck_uav == uav:
+            since, until = fault.window_ns(0)
+            found.append((since + stale_ns, until))
+    return [(since, until) for since, until in found if since < until]
+
+
+def faults(scenario: Scenario) -> Findings:
+    """Faults that begin after the flight, and those that not every flight injects."""
+    for index, fault in enumerate(scenario.faults or ()):
+        key = f"faults[{index}]"
+        if fault.at_s >= scenario.timing.duration_s:
+            yield Finding(
+                WARNING,
+                f"{key}.at_s",
+                f"{fault.at_s:g} s",
+                f"< timing.duration_s, {scenario.timing.duration_s:g} s",
+                "it never begins: lower at_s, or fly longer",
+            )
+        elif where := _where(scenario, fault):
+            yield Finding(INFO, key, fault.text, "every flight injects it", where)
+
+
+def _where(scenario: Scenario, fault: FaultBlock) -> str:
+    """The place of a fault; empty when it is injected everywhere."""
+    return "" if fault in modelled(scenario.faults) else "only in real time"

@@ -28,7 +28,7 @@ from ptnsbc_tools.options import (
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet_node import FleetNode
-    from ptnsbc_sim.scenario.mission.faults import FaultBlock
+    from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 
 _ANSWER_S, _LISTENERS_S = 5.0, 15.0
 _HEALTH_S = 10.0  # for discovery, and two statuses
@@ -166,7 +166,7 @@ class Fault:
         """The fault as a scenario has it; InjectError when the options do not go together."""
         from pydantic import ValidationError
 
-        from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
+        from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
 
         if self.kind not in KINDS:
             raise InjectError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
@@ -215,7 +215,7 @@ def inject(
     The fleet must fly a scenario with the key `faults`; an empty list will do. The fault begins when
     the fleet hears of it. docs/faults.md lists the kinds.
     """
-    from ptnsbc_sim.scenario.mission.faults import AUTOPILOT
+    from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT
 
     block = fault.block()
     shown = block.text.replace(" at 0 s", "")

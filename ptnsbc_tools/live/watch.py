@@ -16,7 +16,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_tools.live.server import Feed, LiveServer, live_page
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS
 from ptnsbc_tools.report.page import obstacles_of, uav_of

@@ -25,7 +25,7 @@ from rich.text import Text
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict import Series, Track, Verdict
 from ptnsbc_sim.verdict.recording import NANO

@@ -13,8 +13,8 @@ from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NeighbourMotion, NeighbourMotions
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory, recovery_config
-from ptnsbc_sim.scenario.mission.membership import Membership, reconfigured
+from ptnsbc_sim.scenario.constants import leader_trajectory, recovery_config
+from ptnsbc_sim.scenario.slots import Membership, reconfigured
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.verdict import verdict_on

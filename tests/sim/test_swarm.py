@@ -11,7 +11,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.tasks.formation_tasks import TASKS
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.sweep import parse_starts

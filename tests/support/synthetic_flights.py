@@ -12,7 +12,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.verdict import Recording, Series, Verdict
 
 Errors = Callable[[Array], Array]

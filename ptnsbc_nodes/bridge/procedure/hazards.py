@@ -22,10 +22,9 @@ from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import leader_trajectory
-from ptnsbc_sim.scenario.mission.membership import joins_ns, leaves_ns
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.model import NANOSECONDS
-from ptnsbc_sim.scenario.slots import are_open
+from ptnsbc_sim.scenario.slots import are_open, joins_ns, leaves_ns
 
 _SOON_S = 0.5  # the predicted paths count so far ahead
 _TOO_NEAR_S = 0.2  # one odd message is no approach

@@ -1,21 +1,101 @@
-"""The legs of a mission: their blocks in a scenario file, and when each of them begins.
+"""The legs of a mission: their blocks in a scenario file, when each of them begins, and what does not fit.
 
 The leader's legs become one curve (route.py), those of the shape become `formation.changes`, and `land` a mode. So
-every process flies legs by the same kernels as a trajectory and a shape without any.
+every process flies legs by the same kernels as a trajectory and a shape without any. A day of UTC has 86 400 s here,
+as in POSIX: leap seconds do not count.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timedelta, timezone
+from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
 
 from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, UavId, Vec3
 from ptnsbc_sim.scenario.mission.shapes import Change, Reshaping, ShapeBlock
-from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
-from ptnsbc_sim.scenario.mission.utc import Utc, utc_time
+from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock, trajectory_problems
+
+_SECOND_NS = 1_000_000_000
+_UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_DATE = TypeAdapter(datetime)  # datetime.fromisoformat knows no Z before Python 3.11
+_TIME_OF_DAY = re.compile(
+    r"(\*|[01]\d|2[0-3]):(\*|[0-5]\d):([0-5]\d)(?:\.(\d{1,6}))?Z",
+    re.ASCII,
+)
+
+
+class UtcTime(NamedTuple):
+    """A time in UTC [ns]."""
+
+    first_ns: int  # since 1970; of one that recurs, the first one after 1970 began
+    period_ns: int  # 0: it does not recur
+
+    def next_ns(self, now_ns: int) -> int:
+        """The instant; of a time that recurs, the first one from `now_ns` on."""
+        if self.period_ns == 0:
+            return self.first_ns
+        return now_ns + (self.first_ns - now_ns) % self.period_ns
+
+    def after(self, start: UtcTime) -> int:
+        """The time [ns] from `start` to the first one after it; negative for one instant before another."""
+        apart_ns = self.first_ns - start.first_ns
+        return apart_ns % self.period_ns if self.period_ns else apart_ns
+
+    def follows(self, start: UtcTime) -> bool:
+        """True if the time from `start` to the first one after it is always the same."""
+        if self.period_ns == 0:
+            return start.period_ns == 0
+        return start.period_ns % self.period_ns == 0
+
+
+def utc_time(text: str) -> UtcTime:
+    """The time that a text names: `2026-11-22T12:00:05Z`, `12:00:05Z`, `*:00:05Z`, `*:*:05Z`.
+
+    Raises:
+        ValueError: a text of another form.
+    """
+    found = _TIME_OF_DAY.fullmatch(text)
+    if found is None:
+        if not text.endswith("Z"):
+            raise ValueError(text)
+        since = _DATE.validate_python(text) - _UNIX
+        return UtcTime(since // timedelta(microseconds=1) * 1000, 0)
+    hour, minute, second, fraction = found.groups()
+    if minute == "*" != hour:
+        raise ValueError(text)
+    whole_s, period_s = int(second), 60
+    if minute != "*":
+        whole_s, period_s = whole_s + 60 * int(minute), 3600
+    if hour != "*":
+        whole_s, period_s = whole_s + 3600 * int(hour), 86_400
+    return UtcTime(
+        whole_s * _SECOND_NS + int((fraction or "").ljust(9, "0")), period_s * _SECOND_NS
+    )
+
+
+def _utc(value: Any) -> Any:
+    """A time in UTC, as text."""
+    try:
+        if isinstance(value, str):
+            utc_time(value)
+            return value
+    except (ValueError, ValidationError):
+        pass
+    raise PydanticCustomError(
+        "utc",
+        "expected a time in UTC, such as 2026-11-22T12:00:05Z, or 12:00:05Z for one of every day, "
+        "*:00:05Z of every hour, *:*:05Z of every minute",
+        {"value": value},
+    )
+
+
+Utc = Annotated[str, BeforeValidator(_utc)]
+
 
 Places = Mapping[int, tuple[float, float, float]]
 """Offsets [m] from the leader, by UAV."""
@@ -344,3 +424,125 @@ def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
 def landing_s(legs: Sequence[ScheduledLeg]) -> float | None:
     """The begin of the landing [s]; None without one."""
     return next((one.begin_s for one in legs if isinstance(one.leg, LandLeg)), None)
+
+
+_LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
+
+
+def mission_problems(file: Any) -> Iterator[str]:
+    """The problems of the mission of a whole scenario file, before it is scheduled."""
+    mission = file.mission
+    if mission is None:
+        return
+    if file.formation.changes:
+        yield "formation.changes: expected none beside mission.legs: a leg of kind change does the same"
+    if file.formation.approach != "planned":
+        yield f"formation.approach: {file.formation.approach}: expected planned for a mission"
+    if moves_shape(mission) and file.formation.task != "relative_position":
+        yield (
+            f"formation.task: {file.formation.task}: expected relative_position for a mission that changes "
+            "the shape or splits"
+        )
+    if file.law is not None:
+        yield f"law: {file.law}: expected none beside a mission"
+    yield from _begins(mission, file.gains.formation.deadline_s)
+    yield from _kinds(mission, file)
+
+
+def _begins(mission: Mission, deadline_s: float) -> Iterator[str]:
+    names = leg_names(mission)
+    for index, leg in enumerate(mission.legs):
+        where = f"mission.legs[{index}]"
+        if names[index] in names[:index]:
+            yield f"{where}.name: {names[index]}: expected a name that no other leg has"
+        if leg.at is not None and leg.at_s is not None:
+            yield f"{where}.at: expected either at or at_s"
+        if leg.at is not None:
+            yield from _counts_from(mission.start, leg.at, where)
+    for before, one in pairwise(schedule(mission, deadline_s)):
+        at_s = begin_of(mission, one.leg)
+        if at_s is not None and at_s < before.end_s - _LATE_S:
+            key = "at" if one.leg.at is not None else "at_s"
+            yield (
+                f"mission.legs[{one.number - 1}].{key}: {at_s:g} s: expected at least {before.end_s:g} s, "
+                "when the leg before is done"
+            )
+
+
+def _counts_from(start: str | None, at: str, where: str) -> Iterator[str]:
+    if start is None:
+        yield f"{where}.at: expected mission.start, from which the flight counts"
+    elif not utc_time(at).follows(utc_time(start)):
+        yield (
+            f"{where}.at: {at}: expected a time that recurs as mission.start, {start}, does, or more often; "
+            "a date where that is one"
+        )
+
+
+def _kinds(mission: Mission, file: Any) -> Iterator[str]:
+    followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
+    for index, leg in enumerate(mission.legs):
+        where = f"mission.legs[{index}]"
+        if problem := _order(mission, index):
+            yield f"{where}.kind: {leg.kind}: {problem}"
+        if index == 0 and (leg.at_s or leg.at is not None or leg.on is not None):
+            yield f"{where}: expected no at_s, at or on: the first leg begins with the first epoch"
+        if isinstance(leg, LandLeg) and index + 1 < len(mission.legs):
+            yield f"{where}.kind: land: expected no leg after it"
+        for problem in _content(leg, followers):
+            yield f"{where}.{problem}"
+        if isinstance(leg, SplitLeg):
+            for problem in _beside_split(mission, file.formation):
+                yield f"{where}.kind: split: {problem}"
+
+
+def _order(mission: Mission, index: int) -> str:
+    """The reason why a leg may not stand where it stands; empty when it may."""
+    leg, rises = mission.legs[index], takes_off(mission)
+    if index == 0:
+        allowed = isinstance(leg, FormLeg | TakeOffLeg)
+        return "" if allowed else "expected form or take_off, with which a mission begins"
+    if isinstance(leg, TakeOffLeg):
+        return "expected no take_off after the first leg: UAVs that fly go_to a height"
+    if index == 1 and rises:
+        return "" if isinstance(leg, FormLeg) else "expected form, which follows take_off"
+    if isinstance(leg, FormLeg):
+        return "expected change, with which a later leg takes another shape"
+    return _apart(mission, index)
+
+
+def _apart(mission: Mission, index: int) -> str:
+    """The same of a group that leaves or comes back, which legs that wait for a word do too."""
+    leg = mission.legs[index]
+    before = [one for one in mission.legs[:index] if isinstance(one, SplitLeg | JoinLeg)]
+    apart = bool(before) and isinstance(before[-1], SplitLeg)
+    if isinstance(leg, SplitLeg) and apart:
+        return "expected a leg of kind join before it"
+    if isinstance(leg, JoinLeg) and not apart:
+        return "expected a leg of kind split before it"
+    return ""
+
+
+def _content(leg: Any, followers: list[int]) -> Iterator[str]:
+    """The problems of a leg by itself."""
+    if isinstance(leg, FollowLeg | SplitLeg) or getattr(leg, "trajectory", None) is not None:
+        for problem in trajectory_problems(leg.trajectory):
+            yield f"trajectory.{problem}"
+    if isinstance(leg, SplitLeg) and leg.head not in followers:
+        yield f"head: {leg.head}: expected one of the followers {followers}"
+    if isinstance(leg, ChangeLeg):
+        for uav in sorted(set(followers).symmetric_difference(leg.offsets_m or followers)):
+            yield f"offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
+
+
+def _beside_split(mission: Mission, formation: Any) -> Iterator[str]:
+    """The parts that a mission with a leg of kind split may not have."""
+    turned = any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in mission.legs)
+    expected = (
+        (formation.frame == "world", "formation.frame: world"),
+        (formation.assignment == "fixed", "formation.assignment: fixed"),
+        (not turned, "no leg of kind change with rotation_rad"),
+    )
+    for holds, what in expected:
+        if not holds:
+            yield f"expected {what}"

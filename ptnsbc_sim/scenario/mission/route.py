@@ -18,7 +18,6 @@ from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
-from ptnsbc_sim.scenario.mission.curves import NO_TABLE, trajectory_of
 from ptnsbc_sim.scenario.mission.legs import (
     CANCEL,
     FollowLeg,
@@ -33,7 +32,15 @@ from ptnsbc_sim.scenario.mission.legs import (
     scheduled_changes,
 )
 from ptnsbc_sim.scenario.mission.shapes import Apart, hermite, place_rows, summed
-from ptnsbc_sim.scenario.mission.trajectories import Circle, Csv, Lissajous, Route, Waypoints
+from ptnsbc_sim.scenario.mission.trajectories import (
+    NO_TABLE,
+    Circle,
+    Csv,
+    Lissajous,
+    Route,
+    Waypoints,
+    trajectory_of,
+)
 
 MOST_KNOTS = 20_000
 """Of one route."""

@@ -20,8 +20,7 @@ from pydantic import BeforeValidator, Field
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.shape import CHANNELS
 from ptnsbc_core.types import Array, Shape
-from ptnsbc_sim.scenario.fields import Block, Number, UavId, Vec3, three
-from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, UavId, Vec3, three
 
 _RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
 _BINOMIALS = np.array(
@@ -314,7 +313,7 @@ def _row(begin: float, first: Array, step: Array, over: float) -> Array:
     return np.concatenate([[begin], channels.ravel()])
 
 
-def problems(file: Any) -> Iterator[str]:
+def shape_problems(file: Any) -> Iterator[str]:
     """The problems of a shape that moves."""
     formation, last = file.formation, 0.0
     if not moves(formation):

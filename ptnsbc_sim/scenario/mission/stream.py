@@ -23,9 +23,8 @@ from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
-from ptnsbc_sim.scenario.fields import Block, Number, Positive, Vec3
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3
 from ptnsbc_sim.scenario.mission.shapes import conditions
-from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 _COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz", "yaw")
 _CHANNELS = 4  # x, y, z, yaw
@@ -106,7 +105,7 @@ def takes_setpoints(path: Any) -> bool:
     return isinstance(block, SetpointTrajectory) and block.samples is None
 
 
-def problems(block: SetpointTrajectory) -> Iterator[str]:
+def stream_problems(block: SetpointTrajectory) -> Iterator[str]:
     """The errors of a stream, as `key: value: expectation`."""
     low, high = np.array(block.low_m), np.array(block.high_m)
     if not (low < high).all():

@@ -1,16 +1,41 @@
-"""Trajectories of the leader as blocks of a scenario file. The curves that the laws follow are made in `curves`."""
+"""Trajectories of the leader: their blocks in a scenario file, their curves, extremes, and why a block has none.
+
+SciPy's splines make curves through points once; they become a table of polynomials (ptnsbc_core.curves.piecewise).
+"""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from functools import lru_cache
+from itertools import pairwise
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
-from ptnsbc_core.types import Trajectory
-from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Number, Vec3
-from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
-from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
+from ptnsbc_core.curves.piecewise import COEFFICIENTS
+from ptnsbc_core.curves.trajectory import curve_samples
+from ptnsbc_core.types import (
+    HEADING_FIXED,
+    HEADING_PATH,
+    HEADING_TABLE,
+    TRAJECTORY_CIRCLE,
+    TRAJECTORY_HARMONIC,
+    TRAJECTORY_LINE,
+    TRAJECTORY_PIECEWISE,
+    Array,
+    Trajectory,
+)
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
+from ptnsbc_sim.scenario.mission.stream import (
+    SetpointTrajectory,
+    Streamed,
+    setpoints_of,
+    stream_problems,
+    streamed,
+)
 
 MOST_POINTS = 2000
 """Points of a curve at most, also rows of a CSV file."""
@@ -142,3 +167,308 @@ class Route:
     apart: tuple[Any, ...] = field(
         default=(), compare=False
     )  # the groups that leave it for a while
+
+
+_CHANNELS = 4  # x, y, z, yaw
+_COLUMNS = 1 + COEFFICIENTS * _CHANNELS
+_TOP_RATE = 2.1875  # largest h_dot of h = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
+_LEAST_GAP_S = 0.01
+_FARTHEST = 1e6  # [m], [s] and [rad] of what a curve goes through
+_STEP_S = 0.01  # between two samples of `extremes`, at most
+_MOST_STEPS = 50_000
+_BEFORE_S = 1e-9  # before the end of a piece
+
+NO_TABLE = np.zeros((0, _COLUMNS))
+
+
+class Samples(NamedTuple):
+    """The content of a CSV file."""
+
+    times: Array  # (S,) [s]
+    points: Array  # (S, 3) [m]
+    yaws: Array | None  # (S,) [rad]
+
+
+def trajectory_problems(block: Any) -> Iterator[str]:
+    """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
+    if isinstance(block, SetpointTrajectory):
+        yield from stream_problems(block)
+    if not isinstance(block, Waypoints | Csv):
+        return
+    found = list(
+        _waypoint_problems(block) if isinstance(block, Waypoints) else _csv_problems(block)
+    )
+    yield from found or _curve_problems(block)
+
+
+def _csv_problems(block: Csv) -> Iterator[str]:
+    if block.samples is None:
+        yield "samples: missing: expected file: NAME, or samples: with its content"
+        return
+    try:
+        samples_of(block.samples)
+    except ValueError as error:
+        yield f"samples: {error}"
+
+
+def _curve_problems(block: Waypoints | Csv) -> Iterator[str]:
+    """True if a finite curve goes through the points."""
+    try:
+        with np.errstate(all="ignore"):
+            finite = bool(np.isfinite(trajectory_of(block).table).all())
+    except ValueError:  # of SciPy; LinAlgError is one
+        finite = False
+    if not finite:
+        key = "samples" if isinstance(block, Csv) else "times_s"
+        yield f"{key}: no smooth curve goes through these points: expected times that are more even"
+
+
+def _too_far(numbers: Any) -> bool:
+    return bool(np.abs(np.array(numbers, dtype=np.float64)).max(initial=0.0) > _FARTHEST)
+
+
+def _waypoint_problems(block: Waypoints) -> Iterator[str]:
+    size = len(block.points_m)
+    for key in ("points_m", "times_s", "yaws_rad"):
+        if _too_far(getattr(block, key) or ()):
+            yield f"{key}: expected no number beyond {_FARTHEST:g}"
+            return
+    if (block.times_s is None) == (block.speed_m_s is None):
+        yield "times_s: expected either times_s or speed_m_s"
+        return
+    if block.yaws_rad is not None and len(block.yaws_rad) != size:
+        yield f"yaws_rad: {len(block.yaws_rad)} numbers: expected one for each of {size} points"
+    if block.times_s is None:
+        for k, (one, other) in enumerate(pairwise(_lap(block))):
+            if np.linalg.norm(other - one) < 1e-6:
+                yield (
+                    f"points_m[{k}]: the same as the next one: expected another point, or times_s"
+                )
+        return
+    needed = size + block.closed
+    if len(block.times_s) != needed:
+        why = f"each of {size} points" + (" and the end of the lap" if block.closed else "")
+        yield f"times_s: {len(block.times_s)} numbers: expected {needed}, one for {why}"
+    elif (wrong := _not_ascending(block.times_s)) is not None:
+        yield f"times_s[{wrong}]: {block.times_s[wrong]:g}: {_ASCENDING}"
+
+
+_ASCENDING = "expected times that begin with 0 and ascend"
+
+
+def _not_ascending(times: Sequence[float]) -> int | None:
+    """Index of the first time that is not 0 at the start or not after the one before; None: all are well."""
+    if times[0] != 0.0:
+        return 0
+    late = [k for k, (a, b) in enumerate(pairwise(times), 1) if b - a < _LEAST_GAP_S]
+    return late[0] if late else None
+
+
+@lru_cache(maxsize=4)
+def samples_of(text: str) -> Samples:
+    """The rows of a CSV text.
+
+    Raises:
+        ValueError: a row that is none, in words that follow a key.
+    """
+    found: list[list[float]] = []
+    for number, row in enumerate(csv.reader(text.splitlines()), 1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        try:
+            numbers = [float(cell) for cell in row]
+        except ValueError:
+            if not found and number == 1:
+                continue  # the names of the columns
+            raise ValueError(f"row {number}: expected numbers t, x, y, z, yaw") from None
+        width = len(found[0]) if found else len(numbers)
+        if len(numbers) not in (4, 5) or len(numbers) != width:
+            raise ValueError(
+                f"row {number}: {len(numbers)} numbers: expected t, x, y, z and, in all rows or none, yaw"
+            )
+        if not np.isfinite(numbers).all():
+            raise ValueError(f"row {number}: expected finite numbers")
+        found.append(numbers)
+    if not 2 <= len(found) <= MOST_POINTS:
+        raise ValueError(f"{len(found)} rows: expected 2 to {MOST_POINTS}")
+    table = np.array(found)
+    if _too_far(table):
+        raise ValueError(f"expected no number beyond {_FARTHEST:g}")
+    wrong = _not_ascending(table[:, 0].tolist())
+    if wrong is not None:
+        raise ValueError(f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: {_ASCENDING}")
+    return Samples(table[:, 0], table[:, 1:4], table[:, 4] if table.shape[1] == 5 else None)
+
+
+@lru_cache(maxsize=64)
+def trajectory_of(block: Any) -> Trajectory:
+    """The curve of a trajectory block that has no `problems`."""
+    if isinstance(block, Route | Streamed):
+        return block.curve
+    if isinstance(block, SetpointTrajectory):
+        return streamed(block, setpoints_of(block.samples or "")).curve
+    if isinstance(block, Circle):
+        if block.heading == "path":
+            return _harmonic(block)
+        motion = (block.radius_m, block.rate_rad_s, block.phase_rad)
+        return _by_numbers(TRAJECTORY_CIRCLE, *block.centre_m, *motion, block.yaw_rad)
+    if isinstance(block, Line):
+        return _by_numbers(TRAJECTORY_LINE, *block.position_m, *block.velocity_m_s, block.yaw_rad)
+    if isinstance(block, Hover):
+        return _by_numbers(TRAJECTORY_LINE, *block.position_m, 0.0, 0.0, 0.0, block.yaw_rad)
+    if isinstance(block, Lissajous):
+        return _harmonic(block)
+    if isinstance(block, Csv):
+        return _sampled(block)
+    return _through_points(block)
+
+
+def _by_numbers(*numbers: float) -> Trajectory:
+    return Trajectory(tuple(float(number) for number in numbers), NO_TABLE)
+
+
+def _heading_of(block: Circle | Lissajous | Waypoints | Csv) -> int:
+    return HEADING_PATH if block.heading == "path" else HEADING_FIXED
+
+
+def _harmonic(block: Circle | Lissajous) -> Trajectory:
+    """A sine for each axis; that of the circle's second axis is a quarter of a turn ahead."""
+    if isinstance(block, Circle):
+        size, rate, phase = block.radius_m, block.rate_rad_s, block.phase_rad
+        rows = ((size, size, 0.0), (rate, rate, 0.0), (phase, phase + np.pi / 2, 0.0))
+    else:
+        rows = (block.amplitude_m, block.rate_rad_s, block.phase_rad)
+    table = np.ascontiguousarray(np.array((block.centre_m, *rows), dtype=np.float64).T)
+    numbers = (TRAJECTORY_HARMONIC, _heading_of(block), 0, 0, 0, 0, 0, block.yaw_rad)
+    return Trajectory(tuple(float(number) for number in numbers), table)
+
+
+def _lap(block: Waypoints) -> Array:
+    """The points in turn; of a closed curve the first one again."""
+    points = np.array(block.points_m, dtype=np.float64)
+    return np.concatenate([points, points[:1]]) if block.closed else points
+
+
+def _times(block: Waypoints, points: Array) -> Array:
+    if block.times_s is not None:
+        return np.array(block.times_s, dtype=np.float64)
+    assert block.speed_m_s is not None  # or it has a problem
+    slow = _TOP_RATE if block.through == "straight" else 1.0
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(slow * lengths / block.speed_m_s)])
+
+
+def _through_points(block: Waypoints) -> Trajectory:
+    points = _lap(block)
+    times = _times(block, points)
+    yaws = None
+    if block.yaws_rad is not None:
+        yaws = np.unwrap(np.array([*block.yaws_rad, *block.yaws_rad[:1]][: len(points)]))
+    turns = np.zeros(len(points)) if yaws is None else yaws
+    values = np.concatenate([points, turns[:, None]], axis=1)
+    way = "cubic_periodic" if block.through == "cubic" and block.closed else block.through
+    # A heading that has turned round as a whole is no periodic function: it goes by rests from point to point.
+    pieces = [_pieces(times, column, way, block.closed) for column in values.T[:3]]
+    pieces.append(_pieces(times, turns, "straight", block.closed))
+    heading = HEADING_TABLE if yaws is not None else _heading_of(block)
+    period = float(times[-1]) if block.closed else 0.0
+    return _piecewise(times, pieces, heading, period, block.yaw_rad)
+
+
+def _sampled(block: Csv) -> Trajectory:
+    samples = samples_of(block.samples or "")
+    yaws = np.zeros(len(samples.times)) if samples.yaws is None else np.unwrap(samples.yaws)
+    columns = [*samples.points.T, yaws]
+    pieces = [_pieces(samples.times, column, "cubic_free", False) for column in columns]
+    heading = _heading_of(block) if samples.yaws is None else HEADING_TABLE
+    return _piecewise(samples.times, pieces, heading, 0.0, block.yaw_rad)
+
+
+def _pieces(times: Array, values: Array, way: str, closed: bool) -> Array:
+    """Coefficients (S - 1, 8) between S values, the highest power first, of the time since each of them."""
+    from scipy.interpolate import CubicSpline, PPoly, make_interp_spline  # late: half a second
+
+    out = np.zeros((len(times) - 1, COEFFICIENTS))
+    if way == "straight":
+        spans, steps = np.diff(times), np.diff(values)
+        for k, factor in enumerate((-20.0, 70.0, -84.0, 35.0)):
+            out[:, k] = factor * steps / spans ** (7 - k)
+        out[:, -1] = values[:-1]
+        return out
+    if way == "minimum_snap":
+        rest = [(order, 0.0) for order in (1, 2, 3)]
+        ends = "periodic" if closed else (rest, rest)
+        spline = PPoly.from_spline(make_interp_spline(times, values, k=7, bc_type=ends))
+        rows = np.searchsorted(spline.x, times[:-1] + 1e-9, side="right") - 1
+        return np.ascontiguousarray(spline.c[:, rows].T)
+    ends = {"cubic": "clamped", "cubic_periodic": "periodic", "cubic_free": "not-a-knot"}[way]
+    out[:, -4:] = CubicSpline(times, values, bc_type=ends).c.T
+    return out
+
+
+def _piecewise(
+    times: Array, pieces: Sequence[Array], heading: int, period: float, yaw: float
+) -> Trajectory:
+    """The table; its last row stays at the end of the curve."""
+    table = np.zeros((len(times), _COLUMNS))
+    table[:, 0] = times
+    for channel, piece in enumerate(pieces):
+        first = 1 + COEFFICIENTS * channel
+        table[:-1, first : first + COEFFICIENTS] = piece
+        table[-1, first + COEFFICIENTS - 1] = np.polyval(piece[-1], times[-1] - times[-2])
+    numbers = (TRAJECTORY_PIECEWISE, heading, period, 0, 0, 0, 0, yaw)
+    return Trajectory(tuple(float(number) for number in numbers), table)
+
+
+class Extremes(NamedTuple):
+    """The speeds and places of a trajectory during a flight, at instants 10 ms apart or less."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    turn_rad_s: float  # largest rate of the heading
+    slowest_m_s: float  # least horizontal speed
+    jump_m_s: float  # largest change of the velocity where one piece ends and the next begins
+
+
+@lru_cache(maxsize=64)
+def extremes(block: Any, duration_s: float) -> Extremes:
+    """The extremes over the first `duration_s` of a flight; of a stream what its limits allow."""
+    if isinstance(block, SetpointTrajectory | Streamed):
+        most = block.block if isinstance(block, Streamed) else block
+        speed, acceleration = most.speed_m_s, most.acceleration_m_s2
+        return Extremes(speed, acceleration, most.jerk_m_s3, most.turn_rad_s, 0.0, 0.0)
+    curve = trajectory_of(block)
+    ends = curve.table[:, 0] if curve.numbers[0] == TRAJECTORY_PIECEWISE else np.zeros(0)
+    last = max(duration_s, 0.0)
+    if isinstance(block, (Circle, Lissajous)):
+        last = min(last, _longest_lap(block))
+    elif isinstance(block, (Line, Hover)):
+        last = 0.0
+    else:
+        last = min(last, float(ends[-1]))
+    steps = min(max(round(last / _STEP_S), 1), _MOST_STEPS)
+    inside = ends[(ends > 0.0) & (ends <= last)]
+    times = np.concatenate([np.linspace(0.0, last, steps + 1), inside, inside - _BEFORE_S])
+    at = curve_samples(curve, times)
+    velocity = at[:, 3:6]
+    jumps = velocity[steps + 1 : steps + 1 + len(inside)] - velocity[steps + 1 + len(inside) :]
+    return Extremes(
+        _longest(velocity),
+        _longest(at[:, 6:9]),
+        _longest(at[:, 9:12]),
+        float(np.abs(at[:, 13]).max()),
+        float(np.hypot(velocity[:, 0], velocity[:, 1]).min()),
+        _longest(jumps) if len(jumps) else 0.0,
+    )
+
+
+def _longest(vectors: Array) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _longest_lap(block: Circle | Lissajous) -> float:
+    """A time [s] after which nothing new comes, or as good as nothing where the rates have no common period."""
+    rates = block.rate_rad_s if isinstance(block, Lissajous) else (block.rate_rad_s,)
+    slowest = min((abs(rate) for rate in rates if rate != 0.0), default=np.inf)
+    return 0.0 if slowest == np.inf else 20.0 * np.pi / slowest

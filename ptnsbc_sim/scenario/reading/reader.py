@@ -17,8 +17,7 @@ import numpy as np
 import yaml
 
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown, similar
-from ptnsbc_sim.scenario.reading.functions import with_code, with_trajectory
-from ptnsbc_sim.scenario.reading.named_files import with_table
+from ptnsbc_sim.scenario.reading.content import with_code, with_table, with_trajectory
 
 _SUFFIXES = (".yaml", ".yml", ".json")
 _MOST_BYTES = 1_000_000

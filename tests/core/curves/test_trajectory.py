@@ -18,7 +18,7 @@ from ptnsbc_core.types import (
     Trajectory,
 )
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 
 reference, curve_state = on_arrays(reference), on_arrays(curve_state)
 

@@ -17,7 +17,7 @@ from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 from ptnsbc_sim.swarm import fly
 
 WAITS = "import signal\nprint('running', flush=True)\nsignal.pause()\n"

@@ -14,7 +14,7 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import RoleHolder, StepTime, UavController
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.world import World
 
 SECOND_NS = 1_000_000_000

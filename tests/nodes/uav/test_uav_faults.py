@@ -9,7 +9,7 @@ from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_nodes.uav.uav_faults import UavFaults, sent_faults
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 
 EPOCH_NS = 5_000_000_000
 MANY = [

@@ -17,7 +17,7 @@ from ptnsbc_nodes.uav.step_log import sources, used_by
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_nodes.uav.uav_flight import OpenSlots, SlotDecider, SlotHolder, at_epoch
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.world import World
 

@@ -8,8 +8,8 @@ import pytest
 from ptnsbc_core.types import AVOIDANCE_OFF, PLANT_RIGID_BODY, PROFILE_PAPER, PROFILE_SOFT
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.scenario import ScenarioError, agent_config, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.gains import gain_defaults
 from ptnsbc_sim.scenario.model import ScenarioFile
-from ptnsbc_sim.scenario.reading.defaults import gain_defaults
 
 PAPER = Path(__file__).resolve().parents[3] / "scenarios" / "paper_5.yaml"
 

@@ -9,7 +9,7 @@ from synthetic_flights import away, decay, verdict_of
 
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.build import places_beside_leader
+from ptnsbc_sim.scenario.constants import places_beside_leader
 from ptnsbc_sim.verdict import Recording, verdict_on
 
 Fly = Callable[..., Recording]

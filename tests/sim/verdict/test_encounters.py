@@ -8,7 +8,7 @@ import pytest
 from synthetic_flights import away, decay, verdict_of
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.build import recovery_config
+from ptnsbc_sim.scenario.constants import recovery_config
 from ptnsbc_sim.verdict import Recording, verdict_on
 from ptnsbc_sim.verdict.encounters import recovery_s
 

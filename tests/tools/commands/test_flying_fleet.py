@@ -13,7 +13,7 @@ from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.fault_injector import announce_fault, hear_faults
 from ptnsbc_nodes.fleet.fleet_node import FleetNode
 from ptnsbc_nodes.runtime.environment import free_domain
-from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FAULTS, FaultBlock
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands import flying_fleet as command
 

@@ -18,7 +18,7 @@ from ptnsbc_nodes.bridge.procedure.hazards import (
     place_velocity,
 )
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import places_beside_leader
+from ptnsbc_sim.scenario.constants import places_beside_leader
 
 LIMITS = AbortLimits(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
 NOBODY, DT = np.empty((0, 7)), 0.02

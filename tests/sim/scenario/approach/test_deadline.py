@@ -9,12 +9,12 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.approach.deadline import (
     MARGIN,
+    limits_left,
     longest_need,
     shortest_deadlines,
     start_errors,
 )
-from ptnsbc_sim.scenario.approach.limits import limits_left
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 
 LEADER_AT = np.array([0.0, 5.0, 8.0])

@@ -8,7 +8,7 @@ import pytest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_sim.scenario.constants import reference_offset
 from ptnsbc_sim.scenario.fields import LARGEST
 from ptnsbc_sim.scenario.mission.completion import proposed_tree
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places

@@ -3,7 +3,7 @@
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FOR_EVER_NS, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, FAULTS, FOR_EVER_NS, modelled
 
 GOOD = {
     "silence": {"uav": 2},

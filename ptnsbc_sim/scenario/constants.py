@@ -40,11 +40,10 @@ from ptnsbc_core.types import (
     Vector3,
 )
 from ptnsbc_sim.plugins.formation_task import load_task
-from ptnsbc_sim.scenario.approach.deadline import turn_of
-from ptnsbc_sim.scenario.approach.limits import leader_motion
+from ptnsbc_sim.scenario.approach.deadline import leader_motion, turn_of
 from ptnsbc_sim.scenario.gains import Loop, gain_of
-from ptnsbc_sim.scenario.mission.curves import trajectory_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import plant_of
 from ptnsbc_sim.scenario.scenario import Scenario
 

@@ -11,9 +11,9 @@ import pytest
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS
-from ptnsbc_sim.scenario.reading.functions import MOST_ROWS
+from ptnsbc_sim.scenario.reading.content import MOST_ROWS
 
 PATHS = """
 from math import cos, sin

@@ -11,8 +11,8 @@ from scipy.integrate import quad
 from ptnsbc_core.curves.trajectory import curve_state, reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.build import leader_trajectory
-from ptnsbc_sim.scenario.mission.curves import extremes, trajectory_of
+from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mission.trajectories import extremes, trajectory_of
 
 POINTS = [[0, 0, 8], [4, 0, 8], [4, 3, 9], [0, 3, 8]]
 TIMES = [0, 4, 9, 14]
