@@ -12,7 +12,7 @@ from docs.make.markdown import RegionError, remade
 from ptnsbc_io.files import replacing
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import schema as scenario_schema
-from ptnsbc_sim.sweep import family_schema
+from ptnsbc_sim.sweep import family
 from ptnsbc_sim.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -20,7 +20,7 @@ SCHEMA = "verdict.schema.json"
 SCHEMAS = {
     DOCS / SCHEMA: schema.text,
     scenario_schema.FILE: scenario_schema.text,
-    family_schema.FILE: family_schema.text,
+    family.FILE: family.text,
 }
 PAGES = {
     "scenarios.md": "docs.make.scenarios",

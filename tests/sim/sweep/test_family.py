@@ -11,8 +11,7 @@ import pytest
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.scenario.constants import agent_config
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.sweep import family_schema
-from ptnsbc_sim.sweep.family import families, family_from_text, find_family
+from ptnsbc_sim.sweep.family import FILE, families, family_from_text, find_family, schema
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, drawn_values, plan_of
 
 BASE = load_scenario("paper_5_free")
@@ -151,7 +150,7 @@ SHIPPED = sorted((Path(__file__).parents[3] / "scenarios" / "families").glob("*.
 
 @pytest.fixture(scope="module")
 def validator() -> Any:
-    made = family_schema.schema()
+    made = schema()
     jsonschema.Draft202012Validator.check_schema(made)
     return jsonschema.Draft202012Validator(made)
 
@@ -161,7 +160,7 @@ def test_the_shipped_families_fit_and_name_it(path: Path, validator: Any) -> Non
     text = path.read_text("utf-8")
     validator.validate(reader.parse(text, path.name))
     modeline = text.splitlines()[0].removeprefix("# yaml-language-server: $schema=")
-    assert (path.parent / modeline).resolve() == family_schema.FILE
+    assert (path.parent / modeline).resolve() == FILE
 
 
 @pytest.mark.parametrize(
@@ -180,7 +179,7 @@ def test_slips_are_refused(text: str, validator: Any) -> None:
 
 
 def test_every_key_says_what_it_means() -> None:
-    made = family_schema.schema()
+    made = schema()
     blocks = [made, *(part for part in made["$defs"].values() if "properties" in part)]
     for key, value in ((k, v) for block in blocks for k, v in block["properties"].items()):
         assert value["description"], key
