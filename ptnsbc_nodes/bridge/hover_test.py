@@ -41,8 +41,7 @@ from ptnsbc_nodes.emergency.orders import LAND, Order, OrderPort, latched, runti
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.scenario import Scenario, agent_config, scenario_from_text
-from ptnsbc_sim.scenario.approach.deadline import longest_need, start_errors
-from ptnsbc_sim.scenario.approach.limits import limits_left
+from ptnsbc_sim.scenario.approach.deadline import limits_left, longest_need, start_errors
 
 SETTLE_S = 4.0
 # [Hz], and periods; the first period of each is not evaluated
