@@ -43,14 +43,12 @@ class FlightState:
         """As it is flown: with the slots that the UAVs took, once they are known."""
         self.flown_anew = 0
         """The number of times that `scenario` has changed."""
+        self.processes = ProcessReports(clock_s)
         self._file = scenario
         self._clock_s = clock_s
         self._decided = DecidedSlots(scenario)
         self._epochs = Epochs(scenario)
         self._states = RecentStates()
-        self._status: dict[str, tuple[float, DiagnosticStatus]] = {}  # by its name, with its age
-        self._lost: set[str] = set()
-        self._over = False
         self._moving = moves(scenario.formation)
         self._pace = _Pace()
 
@@ -86,20 +84,6 @@ class FlightState:
             self.scenario = flown
             self.flown_anew += 1
 
-    def on_status(self, array: Diagnostics) -> None:
-        """Processes report about themselves."""
-        now_s = self._clock_s()
-        for status in array.statuses:
-            self._status[status.name] = (now_s, status)
-
-    def on_lost(self, process: LostProcess) -> None:
-        """A process has ended before its time."""
-        self._lost.add(process.name)
-
-    def on_over(self, _over: HeaderFields) -> None:
-        """The launcher has ended the flight."""
-        self._over = True
-
     @property
     def started(self) -> bool:
         """True if the first leg is announced."""
@@ -133,6 +117,9 @@ class FlightState:
         leg = self.leg
         t = None if leg is None else (self.stamp_ns - leg.first_t0_ns) * _NANO
         since_s = None if leg is None else (self.stamp_ns - leg.t0_ns) * _NANO
+        left_s = None
+        if leg is not None and since_s is not None and leg.mode == MODE_FORMATION:
+            left_s = float(self.scenario.gains.formation.deadline_s) - since_s
         states = self._states.at(self.stamp_ns)
         places = {uav: state[:3] for uav, state in states.items()}
         goals = self._goals(places, t)
@@ -140,19 +127,14 @@ class FlightState:
             "t": _rounded(t),
             "leg": leg.name if leg is not None else "waiting",
             "since_s": _rounded(since_s),
-            "left_s": _rounded(self._left_s(leg, since_s)),
+            "left_s": _rounded(left_s),
             "pace": _rounded(self._pace.rate(self._clock_s())),
-            "over": self._over,
+            "over": self.processes.over,
             "uavs": [
                 self._uav(uav, states.get(uav), places, goals, t) for uav in self.scenario.uav_ids
             ],
-            "processes": self._processes(),
+            "processes": self.processes.levels(),
         }
-
-    def _left_s(self, leg: Leg | None, since_s: float | None) -> float | None:
-        if leg is None or since_s is None or leg.mode != MODE_FORMATION:
-            return None
-        return float(self.scenario.gains.formation.deadline_s) - since_s
 
     def _goals(self, places: dict[int, Array], t: float | None) -> dict[int, Array]:
         """The wanted place of each UAV (3,) [m]; without the followers while the leader is not heard."""
@@ -178,7 +160,7 @@ class FlightState:
         goals: dict[int, Array],
         t: float | None,
     ) -> dict[str, Any]:
-        found: dict[str, Any] = {"id": uav, "lost": f"uav{uav}" in self._lost, **self._said(uav)}
+        found: dict[str, Any] = {"id": uav, **self.processes.of_uav(uav)}
         if state is None:
             return found | {"pose": None, "speed": None, "error": None, "near": None}
         error = float(np.linalg.norm(places[uav] - goals[uav])) if uav in goals else None
@@ -216,43 +198,75 @@ class FlightState:
         room, distance, name = min(found)
         return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
 
-    def _said(self, uav: int) -> dict[str, Any]:
+
+class ProcessReports:
+    """What the processes of a fleet report of themselves, and who of them has ended.
+
+    Attributes:
+        over: True once the launcher has ended the flight.
+    """
+
+    def __init__(self, clock_s: Callable[[], float]) -> None:
+        self.over = False
+        self._clock_s = clock_s
+        self._heard: dict[
+            str, dict[str, tuple[float, DiagnosticStatus]]
+        ] = {}  # by process and name
+        self._lost: set[str] = set()
+
+    def on_status(self, array: Diagnostics) -> None:
+        """Processes report about themselves."""
+        now_s = self._clock_s()
+        for status in array.statuses:
+            process = status.name.partition(":")[0]
+            self._heard.setdefault(process, {})[status.name] = (now_s, status)
+
+    def on_lost(self, process: LostProcess) -> None:
+        """A process has ended before its time."""
+        self._lost.add(process.name)
+
+    def on_over(self, _over: HeaderFields) -> None:
+        """The launcher has ended the flight."""
+        self.over = True
+
+    def of_uav(self, uav: int) -> dict[str, Any]:
         """The reports of the processes of one UAV: mode, vehicle, battery, fix, readiness."""
-        own = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"uav{uav}"]
-        link = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"bridge{uav}"]
-        mode = next((s.values["mode"] for s in own if "mode" in s.values), None)
-        vehicle = next((s.values for s in link if "armed" in s.values), {})
+        planner, bridge = (
+            [status for _, status in self._heard.get(f"{kind}{uav}", {}).values()]
+            for kind in ("uav", "bridge")
+        )
+        vehicle = next((s.values for s in bridge if "armed" in s.values), {})
         battery = vehicle.get("battery_percent", "")
         return {
-            "mode": mode,
+            "lost": f"uav{uav}" in self._lost,
+            "mode": next((s.values["mode"] for s in planner if "mode" in s.values), None),
             "vehicle": vehicle.get("mode") or None,
             "step": vehicle.get("step") or None,
             "armed": vehicle["armed"] == "true" if vehicle else None,
             "battery": int(battery) if battery.isdecimal() else None,
             "order": vehicle.get("order") or None,
             "fix": vehicle.get("fix") or None,
-            "readiness": _readiness(link or own),
+            "readiness": _readiness(bridge or planner),
         }
 
-    def _processes(self) -> list[dict[str, Any]]:
+    def levels(self) -> list[dict[str, Any]]:
         """Level and word of every process that has reported or ended; 0 is well, 1 a warning, 2 an error."""
-        now_s = self._clock_s()
-        found = []
-        names = {name.partition(":")[0] for name in self._status} | self._lost
-        for name in sorted(names, key=_in_order):
-            said = [one for key, one in self._status.items() if key.partition(":")[0] == name]
-            found.append({"name": name, **self._word(name, now_s, said)})
-        return found
 
-    def _word(
-        self, name: str, now_s: float, said: Iterable[tuple[float, DiagnosticStatus]]
-    ) -> dict[str, Any]:
+        def in_order(name: str) -> tuple[str, int]:
+            letters = name.rstrip("0123456789")  # uav2 before uav10
+            return letters, int(name.removeprefix(letters) or 0)
+
+        names = sorted(self._heard.keys() | self._lost, key=in_order)
+        return [{"name": name, **self._level(name)} for name in names]
+
+    def _level(self, name: str) -> dict[str, Any]:
         if name in self._lost:
             return {"level": _SILENT_LEVEL, "word": "has ended", "silent": True}
-        newest_s, status = max(said, key=lambda one: (one[0], one[1].level))
-        if now_s - newest_s > SILENT_S and not self._over:
-            word = f"silent for {now_s - newest_s:.0f} s"
-            return {"level": _SILENT_LEVEL, "word": word, "silent": True}
+        reports = self._heard[name].values()
+        newest_s, status = max(reports, key=lambda report: (report[0], report[1].level))
+        silent_s = self._clock_s() - newest_s
+        if silent_s > SILENT_S and not self.over:
+            return {"level": _SILENT_LEVEL, "word": f"silent for {silent_s:.0f} s", "silent": True}
         if status.values.get("ready") == "false":
             waits = status.values.get("waiting_for", "")
             level = max(status.level, _READY_LEVEL)
@@ -325,12 +339,6 @@ class _Pace:
         """None before it is known, 0 when nothing has come for a while."""
         stands = self._from is not None and now_s - self._from[1] > SILENT_S
         return 0.0 if stands else self._rate
-
-
-def _in_order(name: str) -> tuple[str, int]:
-    """uav2 before uav10."""
-    letters = name.rstrip("0123456789")
-    return letters, int(name.removeprefix(letters) or 0)
 
 
 def _readiness(statuses: Iterable[DiagnosticStatus]) -> str | None:

@@ -57,10 +57,10 @@ def listen_to_fleet(listen: Callable[..., Any], state: FlightState) -> None:
     scenario = state.scenario
     often = keep_last(10 * len(scenario.uav_ids), reliable=True)
     for topic in (topics.DIAGNOSTICS, topics.READY):
-        listen(topic, decode_diagnostics, state.on_status, profile=often)
+        listen(topic, decode_diagnostics, state.processes.on_status, profile=often)
     listen(topics.EPOCH, decode_leg, state.on_leg)
-    listen(topics.LOST, decode_lost, state.on_lost)
-    listen(topics.OVER, decode_header, state.on_over)
+    listen(topics.LOST, decode_lost, state.processes.on_lost)
+    listen(topics.OVER, decode_header, state.processes.on_over)
     if scenario.takes_setpoints:
         listen(topics.TAKEN, OdometryDecoder(), state.on_taken, required=False)
     if are_open(scenario):

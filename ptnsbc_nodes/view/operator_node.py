@@ -90,29 +90,10 @@ class OperatorNode:
             Epoch, fleet + ANNOUNCED, keep_last(_MOST_EPOCHS, reliable=True, latched=True)
         ).publish
         self._listen(topics.EPOCH, decode_leg, self._on_epoch)
-        self._join_as_caller(scenario)
+        self.calls = FleetCalls(node, scenario, fleet, signed=seal is not None)
         self._offer_services()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
-
-    def _join_as_caller(self, scenario: Scenario) -> None:
-        """The node and the clients that call the services of the leader and of the launcher."""
-        node, fleet = self._node, self.endpoints.fleet
-        # A callback of this node waits for answers of the leader: another node's executor receives them.
-        self._caller = rclpy.create_node(
-            "operator_calls",
-            namespace=node.get_namespace(),
-            context=node.context,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
-        self._calls: Any = make_executor(node.context)
-        self._calls.add_node(self._caller)
-        self._leader = {
-            name: self._caller.create_client(Trigger, f"{fleet}/formation/{name}")
-            for name in (*_LEGS, *_mission_services(scenario))
-        }
-        self._launcher = self._caller.create_client(Trigger, f"{fleet}/formation/{ARM_SERVICE}")
 
     def _offer_services(self) -> None:
         node, fleet = self._node, self.endpoints.fleet
@@ -120,9 +101,11 @@ class OperatorNode:
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
         self._actions = [
-            self._serve(FlyLeg, FLY_LEG, lambda goal: LegGoal(self.flight, self.begin, goal)),
+            self._serve(FlyLeg, FLY_LEG, lambda goal: LegGoal(self.flight, self.calls.begin, goal)),
             self._serve(
-                FlyMission, FLY_MISSION, lambda goal: MissionGoal(self.flight, self.call, goal)
+                FlyMission,
+                FLY_MISSION,
+                lambda goal: MissionGoal(self.flight, self.calls.call, goal),
             ),
         ]
 
@@ -143,8 +126,7 @@ class OperatorNode:
         for action in self._actions:
             action.destroy()
         self.endpoints.close()
-        self._calls.shutdown()
-        self._caller.destroy_node()
+        self.calls.close()
 
     def _on_timer(self) -> None:
         if self.flight.started and not self._sees_vehicles:
@@ -224,39 +206,12 @@ class OperatorNode:
             ),
         )
 
-    def services_are_there(self) -> bool:
-        """True if every service of the leader and of the launcher has been found."""
-        return all(one.service_is_ready() for one in (*self._leader.values(), self._launcher))
-
-    def begin(self, name: str) -> Answer:
-        """Let the leader begin a leg of `_LEGS`."""
-        if name not in _LEGS and not self._signed:
-            return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
-        return self.call(name)
-
-    def call(self, name: str) -> Answer:
-        """Call a service of the leader; waits for the answer."""
-        return self._ask("leader", self._leader[name])
-
-    def _ask(self, who: str, client: Any) -> Answer:
-        if self._signed:
-            return Answer(False, _SEALED)
-        if not client.service_is_ready():
-            return Answer(False, f"the {who}'s service {client.srv_name} is not there")
-        call = client.call_async(Trigger.Request())
-        self._calls.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
-        if not call.done():
-            client.remove_pending_request(call)
-            return Answer(False, f"the {who} does not answer")
-        response = call.result()
-        return Answer(bool(response.success), str(response.message))
-
     def _on_arm(self, _request: Any, response: Any) -> Any:
-        response.accepted, response.message = self._ask("launcher", self._launcher)[:2]
+        response.accepted, response.message = self.calls.arm()[:2]
         return response
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
-        response.accepted, response.message = self.begin(request.leg)[:2]
+        response.accepted, response.message = self.calls.begin(request.leg)[:2]
         return response
 
     def _on_stop(self, request: Any, response: Any) -> Any:
@@ -281,16 +236,67 @@ class OperatorNode:
         return response
 
     def _tell_leader(self, response: Any, *, kill: bool) -> Any:
-        answer = self.call("stop")
+        answer = self.calls.call("stop")
         response.success = answer.accepted and not kill
         motors = "; a simulated fleet has no motors to stop" if kill else ""
         response.vehicles = [f"leader: {answer.message}{motors}"]
         return response
 
 
-def _mission_services(scenario: Scenario) -> list[str]:
-    """The leader's services for the legs of the mission; none without a mission."""
-    mission = scenario.mission
-    if mission is None:
-        return []
-    return [CANCEL_SERVICE, *(leg_service(number) for number in range(2, len(mission.legs) + 1))]
+class FleetCalls:
+    """Calls of the services of the leader and of the launcher, from within a callback of another node."""
+
+    def __init__(self, node: Node, scenario: Scenario, fleet: str, *, signed: bool) -> None:
+        """`signed`: every call is refused, because these carry no seal."""
+        self._signed = signed
+        # A callback waits for these answers: another node's executor receives them.
+        self._node = rclpy.create_node(
+            "operator_calls",
+            namespace=node.get_namespace(),
+            context=node.context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self._executor: Any = make_executor(node.context)
+        self._executor.add_node(self._node)
+        mission = scenario.mission
+        legs = 0 if mission is None else len(mission.legs)
+        words = [CANCEL_SERVICE, *map(leg_service, range(2, legs + 1))] if legs else []
+        self._clients = {
+            name: self._node.create_client(Trigger, f"{fleet}/formation/{name}")
+            for name in (*_LEGS, *words, ARM_SERVICE)
+        }
+
+    def are_there(self) -> bool:
+        """True if every service has been found."""
+        return all(client.service_is_ready() for client in self._clients.values())
+
+    def begin(self, name: str) -> Answer:
+        """Let the leader begin a leg of `_LEGS`."""
+        if name not in _LEGS and not self._signed:
+            return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
+        return self.call(name)
+
+    def arm(self) -> Answer:
+        """Have the launcher let the vehicles arm."""
+        return self.call(ARM_SERVICE, "launcher")
+
+    def call(self, name: str, who: str = "leader") -> Answer:
+        """Call a service; waits for the answer."""
+        if self._signed:
+            return Answer(False, _SEALED)
+        client = self._clients[name]
+        if not client.service_is_ready():
+            return Answer(False, f"the {who}'s service {client.srv_name} is not there")
+        call = client.call_async(Trigger.Request())
+        self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
+        if not call.done():
+            client.remove_pending_request(call)
+            return Answer(False, f"the {who} does not answer")
+        response = call.result()
+        return Answer(bool(response.success), str(response.message))
+
+    def close(self) -> None:
+        """Leave."""
+        self._executor.shutdown()
+        self._node.destroy_node()

@@ -66,7 +66,7 @@ class Fleet:
         self.action = ActionClient(self.client, FlyLeg, FLY_LEG)
         self.missions = ActionClient(self.client, FlyMission, FLY_MISSION)
         self.at_s, self.off, self.orders = T0_S, {}, {}  # of the bridges, by UAV
-        ready = self.operator.services_are_there
+        ready = self.operator.calls.are_there
         ros.spin_until(
             lambda: (
                 all(readers() for readers in heard) and self.action.server_is_ready() and ready()

@@ -110,9 +110,9 @@ def test_a_leg_that_holds_has_no_deadline() -> None:
 def test_faults_lost_and_silent_processes_are_named() -> None:
     clock = Steady()
     state = in_formation(1.0, clock)
-    state.on_status(status("uav2: planner", 1, "holding", ready="true", mode="form"))
-    state.on_status(status("uav10: planner", ready="false", waiting_for="/uav1/odom"))
-    state.on_lost(LostProcess("uav4", 4))
+    state.processes.on_status(status("uav2: planner", 1, "holding", ready="true", mode="form"))
+    state.processes.on_status(status("uav10: planner", ready="false", waiting_for="/uav1/odom"))
+    state.processes.on_lost(LostProcess("uav4", 4))
     words = {one["name"]: (one["level"], one["word"]) for one in state.frame()["processes"]}
     assert words == {
         "uav2": (1, "holding"),
@@ -130,7 +130,7 @@ def test_a_vehicle_shows_mode_arming_and_battery() -> None:
     state = in_formation(1.0)
     said = {"ready": "true", "mode": "OFFBOARD", "armed": "true", "battery_percent": "81"}
     said["fix"] = "RTK float"
-    state.on_status(status("bridge2: link", **said))
+    state.processes.on_status(status("bridge2: link", **said))
     [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
     assert (second["vehicle"], second["armed"], second["battery"]) == ("OFFBOARD", True, 81)
     assert second["fix"] == "RTK float"
@@ -139,7 +139,7 @@ def test_a_vehicle_shows_mode_arming_and_battery() -> None:
 def readiness_of(*statuses: Diagnostics) -> str | None:
     state = FlightState(SCENARIO, Steady())
     for one in statuses:
-        state.on_status(one)
+        state.processes.on_status(one)
     [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
     return second["readiness"]
 
