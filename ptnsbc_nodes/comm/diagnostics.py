@@ -16,6 +16,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ptnsbc_io.wire.cdr import encode, split_stamp
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
 
 INACTIVE = "activation"
 """In `waiting_for` of a node that is configured and not yet activated."""
@@ -69,6 +71,25 @@ def diagnostics(
     array = DiagnosticArray(status=[status])
     array.header.stamp.sec, array.header.stamp.nanosec = split_stamp(stamp_ns)
     return encode(array)
+
+
+class StatusPublisher:
+    """The status of one process: on /diagnostics, and in lock-step before and between ticks on /formation/ready."""
+
+    def __init__(self, node: Node, endpoints: Endpoints, name: str, recorders: int) -> None:
+        """`name`: of the status, like `uav3: planner`; `recorders`: that must hear it before the flight."""
+        self._send = endpoints.publisher(topics.DIAGNOSTICS, recorders)
+        self.send_ready = endpoints.publisher(topics.READY, 0)
+        self._log = StatusLog(node)
+        self._name = name
+
+    def publish(
+        self, stamp_ns: int, level: DiagnosticLevel, message: str, values: Mapping[str, str]
+    ) -> None:
+        """Publish and log the status at an instant of the flight; -1 is outside of it."""
+        self._log.note(level, message)
+        send = self._send if stamp_ns >= 0 else self.send_ready
+        send(diagnostics(max(stamp_ns, 0), self._name, level, message, values))
 
 
 def readiness(waiting_for: Sequence[str]) -> dict[str, str]:

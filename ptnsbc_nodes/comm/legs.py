@@ -33,13 +33,13 @@ class Epochs:
     """The announced legs, in the order of their announcement, and what was said of the legs of a mission.
 
     Attributes:
-        scenario: the flight, as its mission goes on after what was said; None without one.
+        scenario: the flight, as its mission goes on after what was said.
     """
 
-    def __init__(self, scenario: Scenario | None = None) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self._legs: list[Leg] = []
-        self._landing_ns = None if scenario is None else scenario.landing_ns
+        self._landing_ns = scenario.landing_ns
 
     def announce(self, t0_ns: int, name: str) -> bool:
         """Add a leg; returns False for one that is known, which the latched topic may repeat."""
@@ -64,8 +64,8 @@ class Epochs:
     def _say(self, t0_ns: int, number: int) -> bool:
         """Begin a leg of the mission, or cancel the present one; False where that means nothing, or is known."""
         scenario = self.scenario
-        mission = None if scenario is None else scenario.mission
-        if scenario is None or mission is None or not self._legs or number > len(mission.legs):
+        mission = scenario.mission
+        if mission is None or not self._legs or number > len(mission.legs):
             return False
         said, word = scenario.words, self.word(t0_ns, number)
         if said and word.at_s <= said[-1].at_s:
@@ -84,7 +84,7 @@ class Epochs:
             EpochError: the formation is not flown, or the leader cannot follow the setpoint.
         """
         leg = self.at(now_ns)
-        if self.scenario is None or leg is None or leg.mode != MODE_FORMATION:
+        if leg is None or leg.mode != MODE_FORMATION:
             raise EpochError("setpoint: expected one while the formation is flown")
         one = setpoint_of((now_ns - leg.first_t0_ns) * 1e-9, odometry)
         try:
@@ -125,7 +125,7 @@ class Epochs:
         if leg.mode != MODE_FORMATION:
             return None
         since_ns = NEVER_NS if self._landing_ns is None else self._landing_ns
-        if uav_id is not None and self.scenario is not None:
+        if uav_id is not None:
             since_ns = min(since_ns, leaves_ns(self.scenario, uav_id))
         t0_ns = leg.first_t0_ns + since_ns
         if not leg.t0_ns <= t0_ns <= now_ns:

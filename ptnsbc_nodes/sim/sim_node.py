@@ -17,12 +17,12 @@ from rclpy.node import Node
 from ptnsbc_io.wire import HeaderFields, Stamped, WireError, checked_wrench, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusPublisher, readiness
 from ptnsbc_nodes.comm.door import RealTimeStamps, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.topics import LOST, READY, RECORDED, RECORDER
+from ptnsbc_nodes.comm.topics import LOST, RECORDED, RECORDER
 from ptnsbc_nodes.runtime.pacing import Latency, Progress
 from ptnsbc_nodes.runtime.watchdog import LockstepWatchdog
 from ptnsbc_nodes.sim.stepping import (
@@ -59,9 +59,8 @@ class SimNode(ABC):
             self.endpoints.shared.add(topics.EPOCH.name)
         self.endpoints.listen(topics.EPOCH, decode_leg, self._on_leg)
         self.endpoints.listen(LOST, decode_lost, self._on_lost, required=False)
-        self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
-        self._send_ready = self.endpoints.publisher(READY, 0)
-        self._log = StatusLog(node)
+        recorders = edges.options.recorders
+        self._status = StatusPublisher(node, self.endpoints, "sim: world", recorders)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
 
@@ -118,9 +117,7 @@ class SimNode(ABC):
         message = f"waiting for {', '.join(missing)}" if missing else hovering
         message = message or self.endpoints.warning()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
-        self._log.note(level, message)
-        send = self._send_status if stamp_ns >= 0 else self._send_ready
-        send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))
+        self._status.publish(stamp_ns, level, message, values)
 
 
 class RealTimeSim(SimNode):
@@ -195,7 +192,7 @@ class LockstepSim(SimNode):
         super().__init__(node, scenario, edges, on_end)
         self._vehicles = LockstepWorld(scenario, self._world, self._publishers)
         self._recorder = RecorderBacklog(scenario, edges.options.recorded)
-        self._watchdog = LockstepWatchdog(self._send_ready)
+        self._watchdog = LockstepWatchdog(self._status.send_ready)
         listen = self.endpoints.listen
         for i in self._world.ids:  # one stamp only is the right one
             listen(topics.wrench_setpoint(i), checked_wrench, partial(self._on_wrench, i))

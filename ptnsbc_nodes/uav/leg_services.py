@@ -168,7 +168,7 @@ class LegServices:
         """The legs of the mission as JSON, with the time since the first epoch."""
         scenario, now_ns = self._flight.epochs.scenario, self._clock.now_ns()
         leg = self._flight.epochs.at(now_ns)
-        assert scenario is not None and scenario.mission is not None  # or there is no service
+        assert scenario.mission is not None  # or there is no service
         begun = {one.number: one for one in scenario.legs}
         rows = [
             {"number": CANCEL, "name": one.name, "kind": "hold", **_times(one)}
@@ -186,7 +186,7 @@ class LegServices:
         """Begin a leg of the mission, or cancel the present one: whether that can be flown, and a sentence."""
         now_ns, scenario = self._clock.now_ns(), self._flight.epochs.scenario
         leg = self._flight.epochs.at(now_ns)
-        if leg is None or leg.mode != MODE_FORMATION or scenario is None:
+        if leg is None or leg.mode != MODE_FORMATION:
             name = "no leg" if leg is None else f"leg {leg.name}"
             return False, f"{name} is flown: expected the formation, which flies the mission"
         t0_ns = now_ns + LEAD_NS

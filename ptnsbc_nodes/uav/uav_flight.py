@@ -213,7 +213,7 @@ class UavFlight:
         """Make the step of a tick; before the first leg its time counts from `start_ns`."""
         self.faults.strike(tick.now_ns)
         mission = self.epochs.scenario
-        if mission is not None and mission is not self.scenario:
+        if mission is not self.scenario:
             self.scenario = mission
             self._holder.follow(self.controller, mission)
             if self.decider is not None:

@@ -11,20 +11,17 @@ from typing import NamedTuple
 
 from rclpy.node import Node
 
-from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import (
     SAFETY,
     Concern,
     DiagnosticLevel,
     SafetyState,
-    StatusLog,
+    StatusPublisher,
     assess,
-    diagnostics,
     readiness,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import FlightOptions
-from ptnsbc_nodes.comm.topics import READY
 from ptnsbc_nodes.uav.clocks import UavClock
 from ptnsbc_nodes.uav.uav_flight import UavFlight
 
@@ -110,9 +107,8 @@ class UavStatus:
         self._endpoints = endpoints
         self._flight = flight
         self._clock = clock
-        self._send = endpoints.publisher(topics.DIAGNOSTICS, options.recorders)
-        self._send_ready = endpoints.publisher(READY, 0)
-        self._log = StatusLog(node)
+        name = f"uav{flight.uav}: planner"
+        self._status = StatusPublisher(node, endpoints, name, options.recorders)
         self._reported_missed = 0
 
     def publish(self, stamp_ns: int, missing: Sequence[str], active: bool) -> None:
@@ -130,10 +126,7 @@ class UavStatus:
         }
         if flight.faults.injected:
             values["injected"] = "; ".join(flight.faults.injected)
-        self._log.note(safety.level, safety.reason)
-        send = self._send if stamp_ns >= 0 else self._send_ready
-        name = f"uav{flight.uav}: planner"
-        send(diagnostics(max(stamp_ns, 0), name, safety.level, safety.reason, values))
+        self._status.publish(stamp_ns, safety.level, safety.reason, values)
 
     def _sight(self, stamp_ns: int, missing: Sequence[str], active: bool) -> PlannerSight:
         flight, clock, controller = self._flight, self._clock, self._flight.controller

@@ -66,7 +66,7 @@ class FlightState:
         """A leg was announced."""
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         flown = self._epochs.scenario
-        if flown is not None and flown is not self._file and not are_open(flown):
+        if flown is not self._file and not are_open(flown):
             self._file = flown  # a word on a leg of the mission
             self.scenario = flown
             self.flown_anew += 1
@@ -74,7 +74,7 @@ class FlightState:
     def on_taken(self, setpoint: Stamped) -> None:
         """The leader follows a setpoint."""
         self._epochs.take(setpoint)
-        self.scenario = self._epochs.scenario or self.scenario
+        self.scenario = self._epochs.scenario
 
     def on_slots(self, decision: Decision) -> None:
         """The UAVs have taken their slots."""
@@ -97,12 +97,12 @@ class FlightState:
     @property
     def legs(self) -> tuple[ScheduledLeg, ...]:
         """The legs of the mission that begin, after what was said in flight; none without a mission."""
-        return () if self._epochs.scenario is None else self._epochs.scenario.legs
+        return self._epochs.scenario.legs
 
     @property
     def words(self) -> tuple[Word, ...]:
         """The words of an operator on the legs of the mission in flight."""
-        return () if self._epochs.scenario is None else self._epochs.scenario.words
+        return self._epochs.scenario.words
 
     @property
     def stamp_ns(self) -> int:

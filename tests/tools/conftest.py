@@ -78,7 +78,7 @@ class _Process:
         self.senders = senders
         self.wrench = np.zeros(6)
         self._carried = uav == CARRIED
-        self.epochs = Epochs()
+        self.epochs = Epochs(scenario)
         self._pilot = UavController(agent_config(scenario, uav), senders)
         self.inbox = self._pilot.inbox
         if self._carried:

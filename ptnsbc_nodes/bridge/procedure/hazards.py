@@ -229,7 +229,7 @@ class LeaderReference:
         return leader + np.array([scenario.offset(slot) for slot in slots])
 
     def _flown(self) -> Scenario:
-        return self._epochs.scenario or self._scenario
+        return self._epochs.scenario
 
 
 def place_velocity(config: AgentConfig, t: float, *, slot_known: bool) -> Array:

@@ -7,9 +7,11 @@ from ptnsbc_nodes.comm.legs import EpochError, Epochs
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word, word_text
 
+SCENARIO = load_scenario("paper_5")
+
 
 def test_no_leg_before_its_epoch():
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     assert epochs.at(0) is None
     epochs.announce(100, "form")
     assert epochs.announced
@@ -18,7 +20,7 @@ def test_no_leg_before_its_epoch():
 
 
 def test_each_leg_counts_from_its_own_epoch_and_knows_the_first():
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     for t0, name in ((100, "form"), (500, "hold"), (900, "form")):
         epochs.announce(t0, name)
     assert epochs.at(499).name == "form"
@@ -27,7 +29,7 @@ def test_each_leg_counts_from_its_own_epoch_and_knows_the_first():
 
 
 def test_a_stop_at_once_wins_over_a_hold_still_to_come():
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     epochs.announce(100, "form")
     epochs.announce(700, "hold")
     epochs.announce(300, "land")
@@ -36,7 +38,7 @@ def test_a_stop_at_once_wins_over_a_hold_still_to_come():
 
 
 def test_what_the_latched_topic_repeats_changes_nothing():
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     epochs.announce(100, "form")
     epochs.announce(100, "form")
     assert len(epochs._legs) == 1
@@ -44,7 +46,7 @@ def test_what_the_latched_topic_repeats_changes_nothing():
 
 def test_an_unknown_leg_is_refused_by_name():
     with pytest.raises(EpochError, match=r"'loop': expected one of form, hold, land"):
-        Epochs().announce(0, "loop")
+        Epochs(SCENARIO).announce(0, "loop")
 
 
 LEGS = [

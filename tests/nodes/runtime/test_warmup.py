@@ -40,7 +40,7 @@ def loaded():
 
 def fly(scenario, edges, controllers, ticks):
     """Every UAV as its process ticks, the first ones before the epoch."""
-    world, epochs = World(scenario), Epochs()
+    world, epochs = World(scenario), Epochs(scenario)
     epochs.announce(10 * scenario.timing.dt_ns, "form")
     for k in range(ticks):
         now_ns = k * scenario.timing.dt_ns

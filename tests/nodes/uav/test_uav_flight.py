@@ -48,7 +48,7 @@ def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
     inbox = one.controller.inbox
     assert set(inbox.state_queues) == set(inbox.estimate_queues) == {1, 2, 3, 4}
     assert one.controller.inbox.senders.states == (1, 4)
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     epochs.announce(0, "form")
     one.slots.decided.keep(Decision(0, SECOND))
     assert one.slots.take(epochs.at(0))
@@ -70,7 +70,7 @@ def test_fixed_slots_hear_nobody_else() -> None:
 
 
 def test_a_leg_without_a_decision_is_not_flown_and_says_so() -> None:
-    one, epochs = Uav(3), Epochs()
+    one, epochs = Uav(3), Epochs(SCENARIO)
     assert one.slots.take(epochs.at(0))  # no leg yet
     epochs.announce(2_000_000_000, "form")
     leg = epochs.at(2_000_000_000)
@@ -88,7 +88,7 @@ def test_a_leg_without_a_decision_is_not_flown_and_says_so() -> None:
 
 
 def test_limits_of_the_vehicle_outlive_the_slot() -> None:
-    one, epochs = Uav(3), Epochs()
+    one, epochs = Uav(3), Epochs(SCENARIO)
     epochs.announce(0, "form")
     filtered = one.controller.config.filter._replace(max_speed=1.25)
     one.controller.config = one.controller.config._replace(filter=filtered)
@@ -158,7 +158,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
     """
     world, period_ns = World(SCENARIO), SCENARIO.timing.dt_ns
     uavs = {uav: Uav(uav) for uav in world.ids}
-    epochs = Epochs()
+    epochs = Epochs(SCENARIO)
     for t0_ns, _ in slots:
         epochs.announce(t0_ns, "form")
     sent: dict[int, tuple[Stamped, Stamped]] = {}
