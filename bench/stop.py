@@ -28,7 +28,7 @@ from bench.stand_ins import (
     wait_for,
     write_scenario,
 )
-from ptnsbc_autopilot.faults import send_fault
+from ptnsbc_autopilot.fault_lines import send_fault
 from ptnsbc_autopilot.vehicle import AutopilotError
 
 _MOMENT_S = 20.0  # the key is pressed within this time after all have begun to climb

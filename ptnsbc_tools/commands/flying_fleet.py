@@ -240,7 +240,7 @@ def inject(
 
 def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
     """Tell a stand-in, whose system id is the number of its UAV unless the scenario says otherwise."""
-    from ptnsbc_autopilot.faults import send_fault
+    from ptnsbc_autopilot.fault_lines import send_fault
 
     if control is None:
         raise InjectError(

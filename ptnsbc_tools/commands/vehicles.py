@@ -24,7 +24,7 @@ from ptnsbc_tools.options import (
 )
 
 if TYPE_CHECKING:
-    from ptnsbc_autopilot.faults import TimedFault
+    from ptnsbc_autopilot.fault_lines import TimedFault
     from ptnsbc_autopilot.launch import Options
     from ptnsbc_autopilot.server import VehicleServer
     from ptnsbc_nodes.bridge.hover_test import Identified, Settings
@@ -295,7 +295,7 @@ def autopilot(
 
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
-    from ptnsbc_autopilot.faults import parse_timed_fault
+    from ptnsbc_autopilot.fault_lines import parse_timed_fault
     from ptnsbc_autopilot.launch import Fleet, Network, Options, parse_address, parse_parameter
 
     like = stand_ins
@@ -312,7 +312,7 @@ def autopilot(
 
 def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:
     """Build the vehicles, open the ports and serve them."""
-    from ptnsbc_autopilot.faults import FaultPort
+    from ptnsbc_autopilot.fault_lines import FaultPort
     from ptnsbc_autopilot.launch import stations
     from ptnsbc_autopilot.server import serve
     from ptnsbc_nodes.runtime import environment

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_autopilot.faults import FaultPort, TimedFault, parse_timed_fault, send_fault
+from ptnsbc_autopilot.fault_lines import FaultPort, TimedFault, parse_timed_fault, send_fault
 from ptnsbc_autopilot.launch import (
     Fleet,
     Network,

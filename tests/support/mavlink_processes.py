@@ -17,7 +17,7 @@ import yaml
 from domain_ports import first_port
 
 from bench.stand_ins import BASE, SCENARIO
-from ptnsbc_autopilot.faults import send_fault
+from ptnsbc_autopilot.fault_lines import send_fault
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"

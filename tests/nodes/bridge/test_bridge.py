@@ -7,7 +7,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import AUTOPILOTS, BASE_NS, START_S, MavlinkFleet, scenario
 
-from ptnsbc_autopilot.faults import inject
+from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_autopilot.server import Codec
 from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.autopilots import FlightMode

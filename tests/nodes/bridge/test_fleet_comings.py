@@ -7,7 +7,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import MavlinkFleet
 
-from ptnsbc_autopilot.faults import inject
+from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_sim.scenario import agent_config, load_scenario

@@ -10,7 +10,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import AUTOPILOTS, MavlinkFleet, scenario
 
-from ptnsbc_autopilot.faults import inject
+from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
 from ptnsbc_sim.scenario import agent_config, load_scenario

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from mavlink_hover import HoverRig, HoverWorld
 
-from ptnsbc_autopilot.faults import inject
+from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.types import PROFILE_SOFT, LoopGain
 from ptnsbc_io.mavlink.autopilots import VelocityResponse
 from ptnsbc_io.mavlink.link import MavlinkLink

@@ -61,7 +61,9 @@ def test_without_a_fleet_that_takes_faults_it_says_so(domain, monkeypatch):
 
 def test_a_fault_of_a_stand_in_goes_to_its_port(monkeypatch):
     sent = []
-    monkeypatch.setattr("ptnsbc_autopilot.faults.send_fault", lambda *given: sent.append(given))
+    monkeypatch.setattr(
+        "ptnsbc_autopilot.fault_lines.send_fault", lambda *given: sent.append(given)
+    )
     assert run("battery", "--uav", "2", "--charge", "0.1", "--control", "9").exit_code == 0
     assert run("gps_off", "--uav", "3", "--control", "9").exit_code == 0
     assert sent == [(9, "2 battery 0.1"), (9, "3 gps off")]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptnsbc_autopilot.faults import inject, run_fault_line, state
+from ptnsbc_autopilot.fault_lines import inject, run_fault_line, state
 from ptnsbc_autopilot.firmware.px4 import Px4
 from ptnsbc_autopilot.firmware.px4_modes import HOLD, LAND, OFFBOARD, POSCTL
 from ptnsbc_autopilot.vehicle import IMPOSTOR, AutopilotError
