@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from ptnsbc_core.agent import HOLDING
 from ptnsbc_core.behaviours.neighbour import SILENT
 from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.curves.trajectory import reference_positions
@@ -16,7 +17,6 @@ from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, recovery_config
 from ptnsbc_sim.scenario.slots import Membership, reconfigured
 from ptnsbc_sim.swarm import HeadlessFlight, fly
-from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 

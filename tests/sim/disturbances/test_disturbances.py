@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_core.agent import Agent
+from ptnsbc_core.agent import HOLDING, Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_sim.disturbances.links import MessageLoss, last_received, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
-from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.world import World
 
 SHORT = 1.5

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from ptnsbc_core.agent import HOLDING
 from ptnsbc_sim.disturbances.faults import FaultyLink, delay_ns, delays_ns, message_faults
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.disturbances.random_streams import STATE_LINK
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
-from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 
