@@ -51,6 +51,7 @@ def prepare() -> None:
     Raises:
         DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and the middleware has no DDS Security.
         DomainError: `ROS_DOMAIN_ID` is no domain. The middleware would end the process.
+        NetworkError: the middleware would ignore the profile of the network.
     """
     named_domain()
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and lacks_security():
@@ -62,7 +63,16 @@ def prepare() -> None:
     wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
     stay_with_launcher()
     if os.environ.get(NETWORK):
-        os.environ.update(_joined(os.environ))
+        profile = str(dds_profiles.checked(Path(os.environ[NETWORK])))
+        rmw = os.environ.get("RMW_IMPLEMENTATION", _RMW)
+        if rmw != _RMW:
+            raise dds_profiles.NetworkError(
+                f"RMW_IMPLEMENTATION={rmw}: {NETWORK} is a profile of Fast DDS: "
+                f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
+            )
+        os.environ.update({NETWORK: profile, _PROFILES[0]: profile})
+        # With any other value rmw_fastrtps would override the profile.
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
     # The wheels put the ament index into the environment's prefix, but do not set the variable.
@@ -130,22 +140,6 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     return child
 
 
-def _joined(environment: Mapping[str, str]) -> dict[str, str]:
-    """The settings of a process on a network; NetworkError when the middleware would ignore them."""
-    profile = str(dds_profiles.checked(Path(environment[NETWORK])))
-    if environment.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
-        raise dds_profiles.NetworkError(
-            f"RMW_IMPLEMENTATION={environment['RMW_IMPLEMENTATION']}: {NETWORK} is a profile of Fast DDS: "
-            f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
-        )
-    return {
-        NETWORK: profile,
-        _PROFILES[0]: profile,
-        # With any other value rmw_fastrtps would override the profile.
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-    }
-
-
 def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
     return (
         environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
@@ -182,25 +176,18 @@ def free_domain() -> Iterator[int]:
     Raises:
         DomainError: All of them are in use.
     """
-    lock, domain = _locked_domain()
-    with lock:
-        yield domain
-
-
-def _locked_domain() -> tuple[socket.socket, int]:
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         # The kernel frees the port however this process ends.
-        lock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            lock.bind(("", _FIRST_LOCK + domain))
-        except OSError as error:
-            lock.close()
-            if error.errno != errno.EADDRINUSE:
-                raise
-            continue
-        if _is_unused(domain):
-            return lock, domain
-        lock.close()
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
+            try:
+                lock.bind(("", _FIRST_LOCK + domain))
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise
+                continue
+            if _is_unused(domain):
+                yield domain
+                return
     raise DomainError("every ROS domain from 1 to 101 is in use: set ROS_DOMAIN_ID")
 
 

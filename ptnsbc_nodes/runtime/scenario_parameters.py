@@ -113,7 +113,10 @@ def parameter_file(scenario: Scenario) -> str:
     named: dict[str, Any] = {}
     for leaf in leaves(scenario):
         *above, last = leaf.key.split(".")
-        _subtree(named, above)[last] = leaf.value
+        block = named
+        for key in above:
+            block = block.setdefault(key, {})
+        block[last] = leaf.value
         _remove(rest, [*above, last])
     parts = [
         f"# {scenario.name} as ROS parameters, for all its nodes: --ros-args --params-file THIS",
@@ -170,12 +173,6 @@ def _flat(prefix: str, tree: dict[Any, Any]) -> Iterator[tuple[str, Any]]:
             yield from _flat(f"{prefix}{name}.", value)
         else:
             yield f"{prefix}{name}", value
-
-
-def _subtree(tree: dict[str, Any], keys: list[str]) -> dict[str, Any]:
-    for key in keys:
-        tree = tree.setdefault(key, {})
-    return tree
 
 
 def _remove(tree: Any, keys: list[str]) -> None:
