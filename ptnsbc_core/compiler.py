@@ -1,4 +1,4 @@
-"""How numba compiles the kernels: in two steps, and with pointers in the place of wide tuples.
+"""Compilation of the kernels by numba: in two steps, and with pointers in the place of wide tuples.
 
 Promise: the first flight of a fresh installation compiles in some 20 s of a processor. By numba's own way it took 70 to
 100 s. numba optimises and emits every function on its own, with wrappers for Python, although it does all of it again

@@ -1,6 +1,6 @@
 """A map from a file as boxes: the cells of a grid in which a point lies, joined to cuboids.
 
-The near-object sensor, the verdict and all pictures know boxes: docs/method.md, "Bodies".
+The near-object sensor, the verdict and all pictures know boxes: docs/notes/bodies.md.
 """
 
 from __future__ import annotations

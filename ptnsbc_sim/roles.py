@@ -1,4 +1,4 @@
-"""The changes of the place of a UAV in the graph, and the state that it keeps: docs/method.md, "Coming and going"."""
+"""The changes of the place of a UAV in the graph, and the state that it keeps: docs/notes/membership.md."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 A UAV stands still in a tick in which avoidance acts, the behaviour asks for WANTED or more towards the place, and the
 command has less than NEAR_ZERO of it. The time that it stands still, less the time that it does not, counts. From
 deadlock_s on it climbs to a layer of its own above its place, each UAV at another speed: those that block each other
-by the same rule and from mirrored places leave the symmetry. No talking is needed, see docs/method.md ("Deadlocks").
+by the same rule and from mirrored places leave the symmetry. No talking is needed, see docs/notes/clearance.md.
 """
 
 from __future__ import annotations

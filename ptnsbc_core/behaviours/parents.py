@@ -1,4 +1,4 @@
-"""Several parents of one UAV as one: the weighted mean of what they give (docs/method.md, "Several parents").
+"""Several parents of one UAV as one: the weighted mean of what they give (docs/notes/chains.md, "Several parents").
 
 A parent gives its state, moved to the slot of the first parent. The mean of these is the message of one parent in that
 slot, and the laws take it as such.

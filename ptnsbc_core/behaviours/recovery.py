@@ -6,7 +6,7 @@ then on it follows
     P(s) = (A + B e^(-kappa s)) (1 - h(s / T))        B = u / kappa, A = x - B
 
 so that P(0) = x, P_dot(0) = -u and P = 0 from T on, whatever x and u are. T follows from A in closed form. Feedback
-acts on x - P only. An encounter in between arms it anew, see docs/method.md ("Way back").
+acts on x - P only. An encounter in between arms it anew, see docs/notes/way_back.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The straight plan of the error beside the leader is E(t) = (1 - h) E_0. The turned plan is
 E(t) = (1 - h) R_z(phi) E_0. The angle phi rises from 0 to the turn alpha, which all UAVs share. With horizontal
 vectors as complex numbers the plan is z E_0, with z = (1 - h) e^(i phi); the vertical component keeps 1 - h. |E| is the
-same with every turn, see docs/method.md ("Turned approach").
+same with every turn, see docs/notes/slots.md ("The turn").
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The speed at which a UAV may come near an object: the braking that it has, and the velocities that end in a keep-out.
 
-Positions [m] and velocities [m/s] are world ENU, docs/method.md ("Clearance that can brake").
+Positions [m] and velocities [m/s] are world ENU, docs/notes/clearance.md ("The bound").
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def _braking_constraint(
 
     An object that stands still changes nothing: the UAV makes all of the change. One that moves may be another
     UAV, which makes the other half. Each makes it beside the velocity that the pair is about to have, see
-    docs/method.md ("Shares").
+    docs/notes/clearance.md ("Shares").
     """
     velocity = sight.velocity
     away = sub3(position, sight.centre)

@@ -2,7 +2,7 @@
 
 Signed distance d(x) [m]: from the surface, negative inside. Its gradient is the unit vector along which it grows.
 Of every body but a sphere the near-object sensor tells one sphere of radius TANGENT_RADIUS_M, which touches the surface
-at the point nearest to the UAV, see docs/method.md ("Bodies").
+at the point nearest to the UAV, see docs/notes/bodies.md.
 
 Positions [m] are world ENU.
 """

@@ -3,7 +3,7 @@
 On the planned approach a UAV is at x = g + z (x_0 - g) beside the leader, with its slot g, see curves/turned.py. Its
 velocity there is x_dot = -z_dot / z (g - x): where a UAV goes can be read from where it is and how fast it flies.
 
-Positions [m] and velocities [m/s] are world ENU, docs/method.md ("Told paths").
+Positions [m] and velocities [m/s] are world ENU, docs/notes/clearance.md ("Told paths").
 """
 
 from __future__ import annotations

@@ -348,7 +348,7 @@ class HoverTest(BridgeOutputs):
         if AUTOPILOTS[settings.autopilot].attitude_only or settings.setpoint != "velocity":
             raise TuneError(
                 f"mavlink.vehicles.{uav_id}: {settings.autopilot} by {settings.setpoint}: expected setpoint: velocity; "
-                "thrust and delay of vehicles that fly by attitude are found in flight (docs/hardware.md)"
+                "thrust and delay of vehicles that fly by attitude are found in flight (docs/tuning.md)"
             )
         self._print, self._clocks = log, clocks
         self._excitation = Excitation(box_m)
@@ -459,7 +459,7 @@ class HoverTest(BridgeOutputs):
         points, response = self.points(), self.bridge.stream.response
         if response is None:
             raise TuneError(
-                "the vehicle did not answer all parameters of its velocity loop: see above, and docs/hardware.md"
+                "the vehicle did not answer all parameters of its velocity loop: see above, and docs/tuning.md"
             )
         # Half the round trip, and the period of the stream.
         delay_s = 0.5 * self.bridge.maintenance.sync.round_trip_s + self._period_s

@@ -1,4 +1,4 @@
-"""What RViz and Foxglove draw of a flight: markers, and a UAV as URDF of one link without meshes.
+"""Drawings of a flight for RViz and Foxglove: markers, and a UAV as URDF of one link without meshes.
 
 The markers are UAVs, trails, keep-outs, obstacles, edges of the tree, and the leader's path.
 """

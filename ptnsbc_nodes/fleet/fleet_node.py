@@ -128,7 +128,7 @@ class FleetNode:
 
 
 class FleetStatus:
-    """What the processes of a fleet report of themselves.
+    """Reports of the processes of a fleet.
 
     Attributes:
         waiting: by process what it waits for, empty when it is ready.
@@ -304,7 +304,7 @@ def unanswered(name: str) -> Answer:
 
 
 class FleetNews:
-    """What a launcher tells the fleet, and what launchers of one fleet tell each other: lost processes, and the end.
+    """Words of a launcher to the fleet, and of launchers of one fleet to each other: lost processes, and the end.
 
     Attributes:
         gone: processes that have ended on other computers.

@@ -200,7 +200,7 @@ class FlightState:
 
 
 class ProcessReports:
-    """What the processes of a fleet report of themselves, and who of them has ended.
+    """Reports of the processes of a fleet, and who of them has ended.
 
     Attributes:
         over: True once the launcher has ended the flight.

@@ -171,7 +171,7 @@ def leader_error_std_m(scenario: Scenario) -> float:
     The measured position is off by the error of the navigation filter, and jumps at each fix. The leader flies a
     jump back with kappa and the lag tau: x_dot = -kappa x(t - tau), whose variance under jumps is that without a lag
     times (1 + sin kappa tau) / cos kappa tau (Kuechler and Mensch 1992). Both parts are uncorrelated, because the
-    filter is optimal, see docs/method.md ("Position fixes").
+    filter is optimal, see docs/notes/fixes.md.
     """
     kind, dt = position_noise_of(scenario), 1.0 / scenario.timing.control_hz
     if kind.period == 0:

@@ -301,7 +301,7 @@ def least_distance(first: Array, last: Array) -> float:
 
 
 def slots(scenario: Scenario) -> Findings:
-    """Distances on the way to open slots, and what they rest on (docs/method.md, Slots)."""
+    """Distances on the way to open slots, and what they rest on (docs/notes/slots.md)."""
     if not are_open(scenario) or len(scenario.uav_ids) < 2:
         return
     held = with_slots_of_starts(scenario)
@@ -339,7 +339,7 @@ def slots(scenario: Scenario) -> Findings:
 
 
 def turn(scenario: Scenario) -> Findings:
-    """The turn of the planned approach, and the distance that it keeps (docs/method.md, Turned approach)."""
+    """The turn of the planned approach, and the distance that it keeps (docs/notes/slots.md, "The turn")."""
     angle = turn_of(scenario)
     if angle == 0.0:
         return

@@ -31,7 +31,7 @@ class FlightFailedError(PtnsbcError):
 
 
 ScenarioLike: TypeAlias = Scenario | str | Path | Mapping[str, Any]
-"""What every function takes as a scenario: see `load`."""
+"""Form in which every function takes a scenario: see `load`."""
 
 
 def load(scenario: ScenarioLike, /, **keys: Any) -> Scenario:

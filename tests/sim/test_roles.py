@@ -21,7 +21,7 @@ from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 
 JUMP_M = 0.05
-"""What a change of the leader moves anybody by, at most: docs/method.md."""
+"""What a change of the leader moves anybody by, at most: docs/notes/membership.md."""
 
 
 @lru_cache

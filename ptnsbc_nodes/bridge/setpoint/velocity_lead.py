@@ -1,7 +1,7 @@
 """The setpoint with which a vehicle flies the velocity that the planner wants: the inverse of its known response.
 
 A vehicle is v' = L (a + C (u - v)) - d v, with the setpoint u, its acceleration a, the velocity loop C and the lag L of
-the tilt. Solved for v = wanted it gives u and a; docs/hardware.md, "Prediction", has the limits.
+the tilt. Solved for v = wanted it gives u and a; docs/tuning.md, "Prediction", has the limits.
 """
 
 from __future__ import annotations

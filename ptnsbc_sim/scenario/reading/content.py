@@ -1,4 +1,4 @@
-"""What a scenario names outside of its text: tables, maps, and functions of the user.
+"""Content that a scenario names outside of its text: tables, maps, and functions of the user.
 
 All of it becomes data of the scenario when it is read: the content of a file `samples`, a trajectory of the user rows
 of a `csv` trajectory, a shape of the user offsets. So a flight, its processes, its bag and its re-run need neither the

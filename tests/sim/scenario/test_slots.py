@@ -95,7 +95,7 @@ def test_planned_paths_to_optimal_slots_keep_their_distance(drawn) -> None:
     path = goals + planned_shares()[:, None, None] * (starts - goals)
     for a, b in combinations(range(len(starts)), 2):
         distance = np.linalg.norm(path[:, a] - path[:, b], axis=1)
-        # The bound of docs/method.md: no less than at the foot of the triangle of both ends.
+        # The bound of docs/notes/slots.md: no less than at the foot of the triangle of both ends.
         ends = distance[0], distance[-1]
         assert distance.min() >= np.prod(ends) / np.hypot(*ends) - 1e-9
         assert distance.min() >= KEEP_OUT_M - 1e-9
