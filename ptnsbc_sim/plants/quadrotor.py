@@ -93,7 +93,7 @@ def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> Quadrot
     u, v, w = x.velocity
     lift, drag, wind = x.thrust / acting.mass, acting.drag, acting.wind
     up = 1.0 - 2.0 * (a * a + b * b)
-    ix, iy, iz = acting.inertia
+    ix, iy, iz = acting.inertia[0], acting.inertia[1], acting.inertia[2]
     rate, torque = acting.motor_rate, acting.torque
     return QuadrotorState(
         x.velocity,

@@ -30,11 +30,11 @@ def scenario(faults, seconds=3.0, **changes):
 
 def test_tables_and_single_messages_agree():
     one = scenario(MANY)
-    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.dt_ns), message_faults(one)
+    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.timing.dt_ns), message_faults(one)
     lost = link.losses(faults, one.ticks)
-    stamps = one.dt_ns * np.arange(one.ticks)
+    stamps = one.timing.dt_ns * np.arange(one.ticks)
     assert lost.tolist() == [link.loses(faults, int(stamp)) for stamp in stamps]
-    late = delays_ns(faults, 2, one.ticks, one.dt_ns)
+    late = delays_ns(faults, 2, one.ticks, one.timing.dt_ns)
     assert late.tolist() == [delay_ns(faults, 2, int(stamp)) for stamp in stamps]
     share = lost[100:150].mean(), lost[150:200].mean()
     assert 0.2 < share[0] < 0.6 < share[1] + 0.15, "two losses at once lose 0.64"
@@ -42,15 +42,15 @@ def test_tables_and_single_messages_agree():
 
 def test_what_is_received_is_the_newest_that_has_arrived():
     one = scenario(MANY, **{"communication.delay_s": 0.02})
-    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.dt_ns), message_faults(one)
+    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.timing.dt_ns), message_faults(one)
     received = last_state_received(one, 3, 2)
     for tick in range(one.ticks):
         arrived = [
             sent
             for sent in range(tick)
-            if not link.loses(faults, sent * one.dt_ns)
-            and sent * one.dt_ns + 20_000_000 + delay_ns(faults, 2, sent * one.dt_ns)
-            <= tick * one.dt_ns
+            if not link.loses(faults, sent * one.timing.dt_ns)
+            and sent * one.timing.dt_ns + 20_000_000 + delay_ns(faults, 2, sent * one.dt_ns)
+            <= tick * one.timing.dt_ns
         ]
         assert received[tick] == max(arrived, default=-1)
 
