@@ -53,7 +53,9 @@ def _step_all(
         state, config = swarm.states[row], swarm.configs[row]
         follows = row != wiring.leader[row]
         if tasks is not None and follows:
-            swarm.states[row], out = step(state, inputs, t, dt, config, None, tasks[row])
+            at = tasks[row]  # by pointer; a step takes it by value, as the tasks of ours
+            task = TaskGeometry(at.value, at.own, at.parent, at.reference, at.periodic)
+            swarm.states[row], out = step(state, inputs, t, dt, config, None, task)
         elif velocities is not None and follows:
             wanted = (velocities[row, 0], velocities[row, 1], velocities[row, 2])
             swarm.states[row], out = step(state, inputs, t, dt, config, wanted)
