@@ -22,8 +22,7 @@ from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_sim.scenario import agent_config, scenario_from_text
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.check import check
-from ptnsbc_tools.reading.bag_reader import read_recording
-from ptnsbc_tools.reading.diagnostics import read_status
+from ptnsbc_tools.reading.bag_reader import read_recording, read_status
 
 ROOT = Path(__file__).resolve().parents[1]
 _SAMPLE_NS = 60_000_000  # of the sample flight: six ticks of five UAVs

@@ -34,7 +34,7 @@ from ptnsbc_tools.library.reporting import Report, export, report
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.replay.rerun import Rerun
 from ptnsbc_tools.sweeps.comparison import SweepComparison
-from ptnsbc_tools.sweeps.share import Share
+from ptnsbc_tools.sweeps.table import Share
 
 __all__ = [
     "new",

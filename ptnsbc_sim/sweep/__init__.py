@@ -1,10 +1,9 @@
 """Sweeps: many flights of drawn scenarios, and one row of figures for each UAV and flight."""
 
-from ptnsbc_sim.sweep.axes import SweepAxis, parse_axis
 from ptnsbc_sim.sweep.chunks import fly_chunk
+from ptnsbc_sim.sweep.draws import Starts, SweepAxis, parse_axis, parse_starts
 from ptnsbc_sim.sweep.plan import SweepError, SweepPlan, draw, drawn_values
 from ptnsbc_sim.sweep.runner import FailedChunk, SweepResult, run
-from ptnsbc_sim.sweep.starts import Starts, parse_starts
 
 __all__ = [
     "SweepAxis",

@@ -22,7 +22,7 @@ from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.swarm import HeadlessFlight
-from ptnsbc_sim.sweep.axes import SweepAxis
+from ptnsbc_sim.sweep.draws import SweepAxis
 from ptnsbc_sim.sweep.dry_run import dry_run_says
 from ptnsbc_sim.sweep.family import family_from_text
 from ptnsbc_sim.sweep.family_draw import family_columns

@@ -16,10 +16,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.swarm import HeadlessFlight
-from ptnsbc_sim.sweep.axes import UNIFORM, SweepAxis
+from ptnsbc_sim.sweep.draws import NEAR, UNIFORM, Starts, SweepAxis
 from ptnsbc_sim.sweep.plan import SweepPlan, draw
 from ptnsbc_sim.sweep.rows import SweepRow, fly_draw
-from ptnsbc_sim.sweep.starts import NEAR, Starts
 from ptnsbc_sim.verdict.deadline import MET, WORST_FIRST
 
 RUNS = 20

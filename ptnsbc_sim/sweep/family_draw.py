@@ -16,6 +16,7 @@ from ptnsbc_sim.scenario.gains import Filter
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import Tree
+from ptnsbc_sim.sweep.draws import Spheres, clear_places, spheres_of
 from ptnsbc_sim.sweep.family import (
     Family,
     FamilyDeadline,
@@ -24,7 +25,6 @@ from ptnsbc_sim.sweep.family import (
     FamilyPath,
     FamilyStarts,
 )
-from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
 
 Generator = Callable[[str], np.random.Generator]
 _MOST_TRIES = 200

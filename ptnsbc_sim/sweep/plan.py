@@ -28,17 +28,18 @@ from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.scenario import completed, scenario_of
-from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
-from ptnsbc_sim.sweep.family import Family, family_from_text
-from ptnsbc_sim.sweep.family_draw import draw_family
-from ptnsbc_sim.sweep.starts import (
+from ptnsbc_sim.sweep.draws import (
     FILE,
     FROM_FILE,
     Spheres,
     Starts,
+    SweepAxis,
+    SweepError,
     drawn_places,
     spheres_of,
 )
+from ptnsbc_sim.sweep.family import Family, family_from_text
+from ptnsbc_sim.sweep.family_draw import draw_family
 
 FORMAT = 1
 

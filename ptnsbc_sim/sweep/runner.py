@@ -21,7 +21,6 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
-from ptnsbc_sim.sweep.axes import SweepError
 from ptnsbc_sim.sweep.chunks import (
     chunk_count,
     chunk_draws,
@@ -31,6 +30,7 @@ from ptnsbc_sim.sweep.chunks import (
     made_by_others,
     schema,
 )
+from ptnsbc_sim.sweep.draws import SweepError
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import fly_draw
 

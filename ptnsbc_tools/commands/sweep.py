@@ -221,7 +221,7 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
 
 
 def _write_report(found: FlownSweep) -> Path:
-    from ptnsbc_tools.sweeps.page import write_report
+    from ptnsbc_tools.sweeps.sweep_report import write_report
 
     with console.patience("drawing"):
         return write_report(found)
@@ -275,7 +275,7 @@ def compare(
         first, second = _tables(a, b)
     found = comparison.compare(first, second, margin_m=margin, seed=seed)
     if html is not None:
-        from ptnsbc_tools.sweeps.page import write_comparison
+        from ptnsbc_tools.sweeps.sweep_report import write_comparison
 
         with console.patience("drawing"):
             write_comparison(html, (str(a), str(b)), (first, second), found)

@@ -20,8 +20,13 @@ from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.plotting.charts import FlightView, view_of
-from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions, read_recording
-from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
+from ptnsbc_tools.reading.bag_reader import (
+    DEFAULTS,
+    ReadOptions,
+    StatusSeries,
+    read_recording,
+    read_status,
+)
 
 if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight

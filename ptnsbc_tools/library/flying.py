@@ -19,9 +19,8 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
-from ptnsbc_tools.reading.bag_reader import ReadOptions
+from ptnsbc_tools.reading.bag_reader import ReadOptions, read_status
 from ptnsbc_tools.reading.bag_sources import TopicNames
-from ptnsbc_tools.reading.diagnostics import read_status
 
 DRY_RUNS = 20
 

@@ -28,8 +28,7 @@ from ptnsbc_tools.library.flying import ScenarioLike, fly, load
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
-from ptnsbc_tools.sweeps.share import Share
-from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep, read_sweep, table_of
+from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
 
 _MOMENT_S = 0.05
 
@@ -110,7 +109,7 @@ class Sweep:
         Raises:
             SweepError: nothing of this name was drawn, or all draws have the same value.
         """
-        from ptnsbc_tools.sweeps.figures import draw_against, drawn_axes
+        from ptnsbc_tools.sweeps.sweep_report import draw_against, drawn_axes
 
         found = {one.name.partition(" [")[0]: one for one in drawn_axes(self.flown)}
         name = next(iter(found), "") if key is None else key

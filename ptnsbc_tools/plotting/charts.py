@@ -31,8 +31,7 @@ from ptnsbc_tools.plotting.chart import (
     Thinner,
     look,
 )
-from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
-from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
+from ptnsbc_tools.reading.bag_reader import ReadOptions, StatusSeries, read_recording, read_status
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 

@@ -17,7 +17,7 @@ from ptnsbc_sim.scenario import Obstacle
 from ptnsbc_sim.verdict.recording import Recording, tolerance_of
 from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look, thin
 from ptnsbc_tools.plotting.charts import FlightView, errors
-from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 FORMATS = (".png", ".svg", ".pdf")
 _SIZE_IN = (9.0, 4.2)

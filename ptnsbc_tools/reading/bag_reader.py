@@ -1,22 +1,30 @@
-"""Reads a bag into a Recording, the input of the verdict."""
+"""Reads a bag into a Recording, the input of the verdict, and into the values that its nodes published."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from ptnsbc_io.bag import BagError, BagMessage
 from ptnsbc_io.wire import (
+    Diagnostics,
     Stamped,
     WireError,
     decode_diagnostics,
     decode_header,
+    decode_integers,
     decode_odometry,
     decode_wrench,
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import DecidedSlots, keep_recorded
+from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
@@ -29,8 +37,133 @@ from ptnsbc_tools.reading.bag_sources import (
     open_source,
     scenario_of,
 )
-from ptnsbc_tools.reading.diagnostics import DiagnosticCounters
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
+
+_PLANNER = re.compile(r"uav([0-9]{1,3}): planner")
+_LINK = re.compile(r"bridge([0-9]{1,3}): link")
+_STATES_SENT = re.compile(r"([0-9]{1,19}) ([1-9][0-9]{0,14})")  # stamp [ns], number of messages
+_LAST_NS = 2**63 - 1
+_SIM = "sim: world"
+_INJECTED = re.compile(r"[a-z_]+ of [a-z0-9]+[ -~]{0,80}")  # a fault, in words
+_MOST_INJECTED = 200
+_LATENCY = re.compile(r"latency_(\w+)_ms")
+_TICK = re.compile(r"/uav([0-9]{1,3})/tick")
+_SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
+_PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
+_SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
+
+
+def _number(values: Mapping[str, str], key: str, default: float) -> float:
+    """A finite number of a status; the default for anything else."""
+    try:
+        found = float(values[key])
+    except (KeyError, ValueError):
+        return default
+    return found if math.isfinite(found) else default
+
+
+class DiagnosticCounters:
+    """The counters of UAVs and bridges, and the newest latency figures of the sim, for the verdict."""
+
+    def __init__(self, file: SampleFile) -> None:
+        self.latency: dict[str, float] = {}
+        self.injected: dict[str, None] = {}  # faults of an operator, in the order of the first word
+        self._counters = TrackWriters[int](file)
+        self._sent = TrackWriters[int](file)
+
+    def add(self, array: Diagnostics) -> None:
+        """Take an array of diagnostics."""
+        for status in array.statuses:
+            if planner := _PLANNER.fullmatch(status.name):
+                for text in filter(None, status.values.get("injected", "").split("; ")):
+                    if _INJECTED.fullmatch(text) and len(self.injected) < _MOST_INJECTED:
+                        self.injected.setdefault(text)
+                if array.stamp_ns >= 0:
+                    values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
+                    self._counters.add(int(planner[1]), array.stamp_ns, values)
+            elif link := _LINK.fullmatch(status.name):
+                sent = _STATES_SENT.fullmatch(status.values.get("states_sent", ""))
+                if sent and int(sent[1]) <= _LAST_NS:
+                    self._sent.add(int(link[1]), int(sent[1]), np.array([float(sent[2])]))
+            elif status.name == _SIM:
+                found = {key: _LATENCY.fullmatch(key) for key in status.values}
+                figures = {m[1]: _number(status.values, key, 0.0) for key, m in found.items() if m}
+                # Lock-step has no latency.
+                self.latency = figures if any(figures.values()) else {}
+
+    def counters(self) -> dict[int, Track]:
+        """The counters `COUNTERS` of each UAV."""
+        return self._counters.tracks()
+
+    def sent(self) -> dict[int, Track]:
+        """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
+        return self._sent.tracks()
+
+
+@dataclass(frozen=True)
+class StatusSeries:
+    """Values that the nodes published over time; a key without values is missing."""
+
+    planner: Mapping[int, Mapping[str, Track]] = field(default_factory=dict)  # by UAV, by key
+    sim: Mapping[str, Track] = field(default_factory=dict)  # by key
+    age_ms: Mapping[int, Track] = field(default_factory=dict)  # (T, 1) by UAV
+
+
+class StatusCollector:
+    """Collects the values of the nodes by node and key, for figures."""
+
+    def __init__(self) -> None:
+        file = SampleFile()
+        self._planners = TrackWriters[tuple[int, str]](file)
+        self._sim = TrackWriters[str](file)
+        self._ages = TrackWriters[int](file)
+
+    def add_diagnostics(self, array: Diagnostics) -> None:
+        """Take an array of diagnostics."""
+        for status in array.statuses:
+            planner = _PLANNER.fullmatch(status.name)
+            keys = _PLANNER_KEYS if planner else _SIM_KEYS if status.name == _SIM else ()
+            for key in keys:
+                value = _number(status.values, key, math.nan)
+                if math.isnan(value):
+                    continue
+                if planner:
+                    self._planners.add((int(planner[1]), key), array.stamp_ns, np.array([value]))
+                else:
+                    self._sim.add(key, array.stamp_ns, np.array([value]))
+
+    def add_tick(self, uav: int, note: TickNote) -> None:
+        """Take the age [ms] of the oldest message of a neighbour that went into a step."""
+        stamps = [used.stamp_ns for name, used in note.used.items() if name not in _SENSORS]
+        if stamps:
+            now_ns = note.moment.now_ns
+            self._ages.add(uav, now_ns, np.array([(now_ns - min(stamps)) * 1e-6]))
+
+    def series(self) -> StatusSeries:
+        """The values collected."""
+        planner: dict[int, dict[str, Track]] = {}
+        for (uav, key), track in sorted(self._planners.tracks().items()):
+            planner.setdefault(uav, {})[key] = track
+        return StatusSeries(planner, self._sim.tracks(), dict(sorted(self._ages.tracks().items())))
+
+
+def read_status(path: Path) -> StatusSeries:
+    """The values that the nodes of a bag published; empty where none was recorded."""
+    source = open_source(path)
+    types = source.types()
+    collector = StatusCollector()
+    ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
+    wanted = [name for name in (topics.DIAGNOSTICS.name, *ticks) if name in types]
+    for message in source.messages(wanted):
+        try:
+            if message.topic == topics.DIAGNOSTICS.name:
+                collector.add_diagnostics(decode_diagnostics(message.data))
+            else:
+                row = decode_integers(message.data)
+                collector.add_tick(ticks[message.topic], tick_note(row.label, row.values.tolist()))
+        except WireError:  # figures leave a broken message out; the verdict names it
+            continue
+    return collector.series()
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ from ptnsbc_io.wire import WireError, decode_header, decode_odometry
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict.recording import with_taken
-from ptnsbc_tools.replay.difference import Difference
-from ptnsbc_tools.replay.drivers import LockstepDriver, RealTimeDriver
-from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.drivers import LockstepDriver, RealTimeDriver, ReplayState
+from ptnsbc_tools.replay.recorded_messages import Difference
 from ptnsbc_tools.replay.uav_replay import Account
 
 Advance = Callable[[int, int], None]

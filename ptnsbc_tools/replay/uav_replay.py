@@ -31,14 +31,14 @@ from ptnsbc_nodes.uav.uav_faults import sent_faults
 from ptnsbc_nodes.uav.uav_flight import SlotHolder
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_tools.replay.difference import (
+from ptnsbc_tools.replay.recorded_messages import (
     Difference,
     Mismatch,
+    TopicBuffer,
     of_messages,
     of_numbers,
     of_texts,
 )
-from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 
 _SENSORS = ("own", "near")
 OUTPUTS = ("formation_state", "leader_estimate", "setpoint/velocity", "setpoint/wrench")

@@ -16,9 +16,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepPlan
 from ptnsbc_sim.verdict.deadline import MET
-from ptnsbc_tools.sweeps.share import Share, share_of
 from ptnsbc_tools.sweeps.summary import new_table, number
-from ptnsbc_tools.sweeps.table import FlightTable
+from ptnsbc_tools.sweeps.table import FlightTable, Share, share_of
 
 LEVEL = 0.05
 _NORMAL = 1.959963984540054  # of the standard normal distribution, 97.5 %

@@ -15,11 +15,10 @@ from rich.text import Text
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepAxis
-from ptnsbc_sim.sweep.axes import NORMAL, UNIFORM, VALUES
+from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES
 from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED
-from ptnsbc_tools.sweeps.share import Share, share_of
-from ptnsbc_tools.sweeps.table import FlownSweep
+from ptnsbc_tools.sweeps.table import FlownSweep, Share, share_of
 from ptnsbc_tools.tables import word
 
 _WORST = 5

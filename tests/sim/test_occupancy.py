@@ -11,8 +11,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.occupancy import MOST_BOXES, boxes_of, covering_boxes, map_text
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.scenario import scenario_from_text
+from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
-from ptnsbc_sim.sweep.starts import parse_starts
 
 CELLS = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), min_size=1, max_size=80, unique=True)
 

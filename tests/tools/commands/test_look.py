@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.plotting.charts import view_of
-from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.reading.bag_reader import StatusSeries
 from ptnsbc_tools.report.page import page
 
 ODOMETRY = "nav_msgs/msg/Odometry"

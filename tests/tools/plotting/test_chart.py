@@ -18,7 +18,7 @@ from ptnsbc_tools.live.watch import stage
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Thinner, look, thin
 from ptnsbc_tools.plotting.charts import charts, view_of
-from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.reading.bag_reader import StatusSeries
 from ptnsbc_tools.report.page import uav_of
 
 

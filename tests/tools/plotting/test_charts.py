@@ -13,7 +13,7 @@ from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts, view_of
-from ptnsbc_tools.reading.diagnostics import StatusCollector, StatusSeries
+from ptnsbc_tools.reading.bag_reader import StatusCollector, StatusSeries
 
 
 def drawn(recording, status=None):

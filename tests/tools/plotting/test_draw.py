@@ -12,7 +12,7 @@ import pytest
 from ptnsbc_io.files import OutputFileError
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import errors, view_of
-from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from chromium import chromium
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.charts import read_view, view_of
-from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
-from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.reading.bag_reader import ReadOptions, StatusSeries, read_recording
 from ptnsbc_tools.report.page import page
 
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"

@@ -8,7 +8,7 @@ from ptnsbc_io.bag import BagMessage
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.drivers import ReplayState
 
 
 def test_counters_of_steps_that_are_not_made_do_not_pile_up():

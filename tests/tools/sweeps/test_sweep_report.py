@@ -1,12 +1,13 @@
-"""Figures of a sweep: groups of flights, and files that are pictures."""
+"""The figures and the page of a sweep."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 
-from ptnsbc_tools.sweeps.figures import START_ERROR, drawn_axes, figures, grouped
+from ptnsbc_tools.sweeps.sweep_report import START_ERROR, drawn_axes, figures, grouped, write_report
 from ptnsbc_tools.sweeps.table import read_sweep
 
 
@@ -45,3 +46,18 @@ def test_a_sweep_has_a_figure_for_each_axis_a_map_and_distributions(flown: Path)
     assert shown[-1] == "distributions"
     assert "map-1" in shown
     assert sum(name.startswith("success") for name in shown) == len(names)
+
+
+def test_the_page_holds_tables_commands_and_pictures(flown: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "small"
+    shutil.copytree(flown, folder)
+    page = write_report(read_sweep(folder))
+    text = page.read_text(encoding="utf-8")
+    assert page == folder / "report" / "index.html"
+    assert "Flights met: " in text
+    assert f"ptnsbc simulate --sweep {folder} --draw " in text
+    pictures = sorted(page.parent.glob("*.png"))
+    assert text.count("data:image/png;base64,") == len(pictures) >= 4
+    assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
+    assert not list(page.parent.glob(".*"))
+    assert write_report(read_sweep(folder)).read_text(encoding="utf-8") == text
