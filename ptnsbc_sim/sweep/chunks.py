@@ -9,8 +9,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
@@ -61,7 +62,7 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
     Returns:
         A Parquet file with the rows of its UAVs; a draw that cannot be flown has one row with the cause.
     """
-    plan = _plan(plan_json)
+    plan = SweepPlan.from_json(plan_json)
     rows: list[SweepRow] = []
     drawn: list[Mapping[str, Value]] = []
     room: HeadlessFlight | None = None
@@ -74,11 +75,6 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
         rows += found
         drawn += [values] * len(found)
     return _parquet(_table(plan, rows, drawn))
-
-
-@lru_cache(maxsize=2)
-def _plan(text: str) -> SweepPlan:
-    return SweepPlan.from_json(text)
 
 
 @lru_cache(maxsize=2)
@@ -131,30 +127,18 @@ def made_by_others(chunk: Path, today: str) -> bool:
 
 def made_by(plan: SweepPlan) -> str:
     """All that decides the figures besides the plan, as JSON; the same sweep gives the same bytes."""
+    made = {}
+    for package in ("ptnsbc", "numpy", "numba"):
+        with suppress(PackageNotFoundError):
+            made[package] = version(package)
+    made["kernels"] = source_digest()
     texts = [plan.scenario, *(str(value) for axis in plan.axes for value in axis.values)]
-    files = sorted({name for text in texts for name in _FILE.findall(text)})
-    return json.dumps(_ours() | {f"file {name}": _digest(Path(name)) for name in files})
-
-
-@cache
-def _ours() -> dict[str, str]:
-    packages = ("ptnsbc", "numpy", "numba")
-    return {**dict(_versions(packages)), "kernels": source_digest()}
-
-
-def _digest(file: Path) -> str:
-    try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError:  # the first flight says so
-        return ""
-
-
-def _versions(packages: Sequence[str]) -> Iterable[tuple[str, str]]:
-    for name in packages:
+    for name in sorted({name for text in texts for name in _FILE.findall(text)}):
         try:
-            yield name, version(name)
-        except PackageNotFoundError:
-            continue
+            made[f"file {name}"] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+        except OSError:  # the first flight says so
+            made[f"file {name}"] = ""
+    return json.dumps(made)
 
 
 def _table(
@@ -162,10 +146,11 @@ def _table(
 ) -> pa.Table:
     import pyarrow as pa
 
-    columns: dict[str, list[Any]] = {
-        name: [_cell(values.get(name.removeprefix(DRAWN)), kind) for values in drawn]
-        for name, kind in drawn_columns(plan).items()
-    }
+    columns: dict[str, list[Any]] = {}
+    for name, kind in drawn_columns(plan).items():
+        cell = {"int": int, "float": float, "bool": bool}.get(kind, str)
+        values = [of.get(name.removeprefix(DRAWN)) for of in drawn]
+        columns[name] = [None if value is None else cell(value) for value in values]
     columns |= {one.name: [getattr(row, one.name) for row in rows] for one in fields(SweepRow)}
     found = schema(plan)
     return pa.Table.from_arrays(
@@ -191,12 +176,6 @@ def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
         content = [pa.py_buffer(numbers)]
     bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
     return pa.Array.from_buffers(kind, len(values), [bits, *content])
-
-
-def _cell(value: Value, kind: str) -> Value:
-    if value is None:
-        return None
-    return {"int": int, "float": float, "bool": bool}.get(kind, str)(value)
 
 
 def _parquet(table: pa.Table) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -101,17 +100,12 @@ def same_draws(a: SweepPlan, b: SweepPlan) -> None:
         )
 
 
-def _mcnemar(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> tuple[int, int, float]:
+def met_difference(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> MetDifference:
+    """Met in A (n,) and in B (n,); the interval is that of Agresti and Min for pairs."""
     from scipy.stats import binomtest
 
     only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
-    p = float(binomtest(only_b, only_a + only_b).pvalue) if only_a + only_b else 1.0
-    return only_a, only_b, p
-
-
-def met_difference(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> MetDifference:
-    """Met in A (n,) and in B (n,); the interval is that of Agresti and Min for pairs."""
-    only_a, only_b, p = _mcnemar(a, b)
+    p = float(binomtest(only_b, only_a + only_b).pvalue) if only_a + only_b else 1.0  # McNemar
     more, n = only_b - only_a, len(a) + 2  # half a pair is added to each of the four counts
     spread = math.sqrt(only_a + only_b + 1 - more**2 / n) / n
     low, high = more / n - _NORMAL * spread, more / n + _NORMAL * spread
@@ -144,34 +138,24 @@ def median_difference(
     return FigureDifference(name, label, len(change), *(float(value) for value in found))
 
 
-def _rows_of(table: FlightTable, pairs: list[tuple[int, int]]) -> NDArray[np.int64]:
-    keys = zip(table["draw"].tolist(), table["uav"].tolist(), strict=True)
-    at = {key: row for row, key in enumerate(keys)}
-    return np.array([at[pair] for pair in pairs], dtype=np.int64)
-
-
 def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
     """The rows of the draws and UAVs that both have, in the same order."""
-    keys = [set(zip(one["draw"].tolist(), one["uav"].tolist(), strict=True)) for one in (a, b)]
+    rows = [
+        {key: k for k, key in enumerate(zip(*map(np.ndarray.tolist, columns), strict=True))}
+        for columns in ((one["draw"], one["uav"]) for one in (a, b))
+    ]
     draws = set(a["draw"].tolist()) & set(b["draw"].tolist())
-    pairs = sorted(key for key in keys[0] & keys[1] if key[0] in draws)
+    pairs = sorted(key for key in rows[0].keys() & rows[1].keys() if key[0] in draws)
     if not pairs:
         raise ComparisonError("no draw was flown in both: expected the same draws")
-    if any((key in keys[0]) != (key in keys[1]) for key in keys[0] | keys[1] if key[0] in draws):
+    if any(key[0] in draws for key in rows[0].keys() ^ rows[1].keys()):
         raise ComparisonError("a draw has other UAVs in A than in B: expected the same fleet")
     names = [field for field in a.columns if field in b.columns]
     first, second = (
-        FlightTable({name: one[name][_rows_of(one, pairs)] for name in names}) for one in (a, b)
+        FlightTable({name: table[name][[of[pair] for pair in pairs]] for name in names})
+        for table, of in zip((a, b), rows, strict=True)
     )
     return first, second
-
-
-def _differences(a: FlightTable, b: FlightTable, seed: int) -> Iterator[FigureDifference]:
-    for label, name in (*ERRORS, *_DISTANCES):
-        values = getattr(a.flights, name), getattr(b.flights, name)
-        found = median_difference(name, label, *values, seed)
-        if found is not None:
-            yield found
 
 
 def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -> SweepComparison:
@@ -186,7 +170,15 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
     a, b = in_both(a, b)
     flights = met_difference(a.flights.met, b.flights.met)
     uavs = met_difference(a["verdict"] == MET, b["verdict"] == MET)
-    figures = tuple(_differences(a, b, seed))
+    figures = tuple(
+        difference
+        for label, name in (*ERRORS, *_DISTANCES)
+        if (
+            difference := median_difference(
+                name, label, getattr(a.flights, name), getattr(b.flights, name), seed
+            )
+        )
+    )
     alone = len(a.flights.draw) == 1
     reasons = []
     if alone and uavs.only_a:

@@ -7,7 +7,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -113,30 +113,37 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     ]
 
 
-def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float] | None:
-    """Values below which these shares lie, none interpolated; None without values."""
+class Quantiles(NamedTuple):
+    """Three values of a figure over UAVs or flights, below which shares of them lie; none is interpolated."""
+
+    label: str
+    name: str
+    unit: str
+    having: int  # UAVs or flights that have it
+    values: tuple[float, ...]
+
+
+def _quantiles(
+    label: str, name: str, unit: str, values: Array, shares: tuple[float, ...]
+) -> Iterator[Quantiles]:
+    """The quantiles of a figure; nothing where no UAV or flight has it."""
     kept = np.sort(values[~np.isnan(values)])
-    if not len(kept):
-        return None
-    return [float(kept[min(int(share * len(kept)), len(kept) - 1)]) for share in shares]
+    if len(kept):
+        places = (min(int(share * len(kept)), len(kept) - 1) for share in shares)
+        yield Quantiles(label, name, unit, len(kept), tuple(float(kept[k]) for k in places))
 
 
-def _upward(sweep: FlownSweep) -> Iterator[tuple[str, str, int, list[float]]]:
-    """Label, unit, UAVs that have the figure; median, 95 % and largest."""
+def _upward(sweep: FlownSweep) -> Iterator[Quantiles]:
+    """Median, 95 % and largest of errors and effort, over UAVs."""
     for label, name, unit in _UPWARD:
-        values = sweep.table[name]
-        found = _quantiles(values, (0.5, 0.95, 1.0))
-        if found is not None:
-            yield label, unit, int((~np.isnan(values)).sum()), found
+        yield from _quantiles(label, name, unit, sweep.table[name], (0.5, 0.95, 1.0))
 
 
-def _downward(sweep: FlownSweep) -> Iterator[tuple[str, int, list[float]]]:
-    """Label, flights that have the figure; least, 1 % and median."""
+def _downward(sweep: FlownSweep) -> Iterator[Quantiles]:
+    """Least, 1 % and median of distances, over flights."""
     for label, name in _DOWNWARD:
         values = getattr(sweep.table.flights, name)
-        found = _quantiles(values, (0.0, 0.01, 0.5))
-        if found is not None:
-            yield label, int((~np.isnan(values)).sum()), found
+        yield from _quantiles(label, name, "m", values, (0.0, 0.01, 0.5))
 
 
 def flights_met(sweep: FlownSweep) -> Share:
@@ -244,65 +251,34 @@ def _cells_table(sweep: FlownSweep) -> Table | None:
     return table
 
 
-def _cause_table(sweep: FlownSweep) -> Table | None:
-    found = causes(sweep)
-    if not found:
-        return None
-    table = new_table("Why UAVs are not met", ("", "UAVs", "cause"))
-    for verdict, cause, count in found:
-        table.add_row(word(verdict), str(count), cause)
-    return table
-
-
 def _digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.2e}"
 
 
-def _figure_table(sweep: FlownSweep) -> Table:
-    heads = ("all UAVs", "unit", "UAVs", "median", "95 %", "largest")
-    table = new_table("Errors and effort", heads)
-    for label, unit, count, values in _upward(sweep):
-        table.add_row(label, unit, str(count), *map(_digits, values))
-    return table
-
-
-def _distance_table(sweep: FlownSweep) -> Table | None:
-    found = list(_downward(sweep))
-    if not found:
-        return None
-    heads = ("each flight", "unit", "flights", "least", "1 %", "median")
-    table = new_table("Distances", heads)
-    for label, count, values in found:
-        style = "bold red" if values[0] < 0.0 else ""
-        table.add_row(label, "m", str(count), *map(_digits, values), style=style)
-    return table
-
-
-def _metres(value: float | None) -> str:
-    return "-" if value is None else _digits(value)
-
-
-def _worst_table(sweep: FlownSweep) -> Table:
-    heads = ("draw", "", "UAV", "largest after m", "with excused m", "closest UAV m", "cause")
-    table = new_table("The flights to look at", heads)
-    for one in worst(sweep):
-        errors = (one.largest_after_m, one.largest_after_all_m, one.closest_uav_m)
-        shown = map(_metres, errors)
-        table.add_row(str(one.draw), word(one.verdict), str(one.uav), *shown, one.cause)
-    return table
-
-
 def tables(sweep: FlownSweep) -> list[Table]:
-    """All tables, in the order in which they are read."""
-    found = (
-        _share_table(sweep),
-        _cells_table(sweep),
-        _cause_table(sweep),
-        _figure_table(sweep),
-        _distance_table(sweep),
-        _worst_table(sweep),
+    """All tables, in the order in which they are read; those without rows are left out."""
+    why = new_table("Why UAVs are not met", ("", "UAVs", "cause"))
+    for verdict, cause, count in causes(sweep):
+        why.add_row(word(verdict), str(count), cause)
+    figures = new_table(
+        "Errors and effort", ("all UAVs", "unit", "UAVs", "median", "95 %", "largest")
     )
-    return [table for table in found if table is not None]
+    for of in _upward(sweep):
+        figures.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values))
+    distances = new_table("Distances", ("each flight", "unit", "flights", "least", "1 %", "median"))
+    for of in _downward(sweep):
+        style = "bold red" if of.values[0] < 0.0 else ""
+        distances.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values), style=style)
+    heads = ("draw", "", "UAV", "largest after m", "with excused m", "closest UAV m", "cause")
+    look_at = new_table("The flights to look at", heads)
+    for flight in worst(sweep):
+        values = (flight.largest_after_m, flight.largest_after_all_m, flight.closest_uav_m)
+        shown = ["-" if value is None else _digits(value) for value in values]
+        look_at.add_row(
+            str(flight.draw), word(flight.verdict), str(flight.uav), *shown, flight.cause
+        )
+    every = (_share_table(sweep), _cells_table(sweep), why, figures, distances, look_at)
+    return [table for table in every if table is not None and (table.row_count or table is figures)]
 
 
 def line(sweep: FlownSweep) -> Text:
@@ -320,15 +296,11 @@ def line(sweep: FlownSweep) -> Text:
 
 def as_json(sweep: FlownSweep) -> dict[str, Any]:
     """The summary as plain data."""
-    upward = {
-        name: {"unit": unit, "median": number(v[0]), "p95": number(v[1]), "max": number(v[2])}
-        for label, name, unit in _UPWARD
-        if (v := _quantiles(sweep.table[name], (0.5, 0.95, 1.0))) is not None
-    }
-    downward = {
-        name: {"unit": "m", "min": number(v[0]), "p1": number(v[1]), "median": number(v[2])}
-        for label, name in _DOWNWARD
-        if (v := _quantiles(getattr(sweep.table.flights, name), (0.0, 0.01, 0.5))) is not None
+    names = {_upward: ("median", "p95", "max"), _downward: ("min", "p1", "median")}
+    figures = {
+        of.name: {"unit": of.unit, **dict(zip(keys, map(number, of.values), strict=True))}
+        for quantiles, keys in names.items()
+        for of in quantiles(sweep)
     }
     return {
         "name": sweep.plan.name,
@@ -342,17 +314,18 @@ def as_json(sweep: FlownSweep) -> dict[str, Any]:
         "deadlocks": deadlocks(sweep).as_json(),
         "dry_runs": {name: one.as_json() for name, one in dry_runs(sweep).items()},
         "cells": [
-            {"values": {key: _plain(value) for key, value in values.items()}, **one.as_json()}
+            {
+                "values": {
+                    k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()
+                },
+                **one.as_json(),
+            }
             for values, one in cells(sweep)
         ],
         "causes": [
             {"verdict": verdict, "cause": cause, "uavs": count}
             for verdict, cause, count in causes(sweep)
         ],
-        "figures": {**upward, **downward},
+        "figures": figures,
         "worst": [vars(one) for one in worst(sweep)],
     }
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
