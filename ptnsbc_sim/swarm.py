@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import kernel, kernel_list, referred
-from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
 from ptnsbc_sim.disturbances.build import (
     Disturbances,
@@ -33,16 +33,8 @@ from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects
-from ptnsbc_sim.tick import (
-    Loop,
-    SwarmState,
-    advance_plant,
-    computes,
-    inputs_of,
-    sense,
-    since_epoch,
-)
-from ptnsbc_sim.track import FlightTrack, note, track_of
+from ptnsbc_sim.tick import Loop, SwarmState, advance_all, sense, step_all
+from ptnsbc_sim.track import FlightTrack, track_of
 from ptnsbc_sim.wiring import Wiring, obstacles_at, wire, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
@@ -98,18 +90,10 @@ def _fly(
 
     What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
     """
-    dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         sense(swarm, wiring, track, tick, disturbances)
-        for row in range(swarm.bodies.shape[0]):
-            if not computes(swarm, track, tick, row, disturbances):
-                continue
-            t = since_epoch(wiring, tick, row)
-            inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
-            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
-            note(track, tick, row, out)
-        for row in range(swarm.bodies.shape[0]):  # apart: the code of both does not fit the cache
-            advance_plant(swarm, wiring, track, tick, row, disturbances)
+        step_all(tick, wiring, swarm, track, None, None, disturbances)
+        advance_all(tick, wiring, swarm, track, disturbances)
 
 
 def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> Array:

@@ -6,7 +6,7 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, MutableSequence, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ptnsbc_core.algebra import store
 from ptnsbc_core.behaviours.parents import mean_parent
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.step import initial_state
+from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
@@ -35,7 +36,7 @@ from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
 from ptnsbc_sim.plants.contract import PlantConfig, Waves
 from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
 from ptnsbc_sim.sensor import store_near, store_objects
-from ptnsbc_sim.track import FlightTrack, note_silence
+from ptnsbc_sim.track import FlightTrack, note, note_silence
 from ptnsbc_sim.wiring import Wiring, obstacles_at
 
 
@@ -283,3 +284,47 @@ def advance_plant(
         return
     t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
     advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
+
+
+@kernel
+def step_all(
+    tick: int,
+    wiring: Wiring,
+    swarm: SwarmState,
+    track: FlightTrack,
+    velocities: Array | None,
+    tasks: Sequence[TaskGeometry] | None,
+    disturbances: Disturbances | None,
+) -> None:
+    """The control step of every UAV that computes: `velocities` (N, 3) [m/s, ENU] and `tasks` are of followers."""
+    dt = wiring.dt_ns * 1e-9
+    for row in range(swarm.bodies.shape[0]):
+        if not computes(swarm, track, tick, row, disturbances):
+            continue
+        t = since_epoch(wiring, tick, row)
+        inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
+        state, config = swarm.states[row], swarm.configs[row]
+        follows = row != wiring.leader[row]
+        if tasks is not None and follows:
+            at = tasks[row]  # by pointer; a step takes it by value, as the tasks of ours
+            task = TaskGeometry(at.value, at.own, at.parent, at.reference, at.periodic)
+            swarm.states[row], out = step(state, inputs, t, dt, config, None, task)
+        elif velocities is not None and follows:
+            wanted = (velocities[row, 0], velocities[row, 1], velocities[row, 2])
+            swarm.states[row], out = step(state, inputs, t, dt, config, wanted)
+        else:
+            swarm.states[row], out = step(state, inputs, t, dt, config)
+        note(track, tick, row, out)
+
+
+@kernel
+def advance_all(
+    tick: int,
+    wiring: Wiring,
+    swarm: SwarmState,
+    track: FlightTrack,
+    disturbances: Disturbances | None,
+) -> None:
+    """All plants by one control period; apart from the steps, because the code of both does not fit the cache."""
+    for row in range(swarm.bodies.shape[0]):
+        advance_plant(swarm, wiring, track, tick, row, disturbances)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ptnsbc_core.kernel import kernel, kernel_list
-from ptnsbc_core.step import TaskPoints, step, task_points
+from ptnsbc_core.step import TaskPoints, task_points
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
@@ -19,49 +19,19 @@ from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.tick import (
     SwarmState,
-    advance_plant,
+    advance_all,
     blown,
     computes,
     dead,
     inputs_of,
     sense,
     since_epoch,
+    step_all,
 )
-from ptnsbc_sim.track import FlightTrack, note
+from ptnsbc_sim.track import FlightTrack
 from ptnsbc_sim.wiring import Wiring, obstacles_at
 
 _POINTS = 9  # own, parent and reference of a task; then whether the parent has been heard
-
-
-@kernel
-def _step_all(
-    tick: int,
-    wiring: Wiring,
-    swarm: SwarmState,
-    track: FlightTrack,
-    velocities: Array | None,
-    tasks: Sequence[TaskGeometry] | None,
-    disturbances: Disturbances | None,
-) -> None:
-    """The control step of every UAV: followers by velocities (N, 3) [m/s, ENU] of a law, or by a task, if given."""
-    dt = wiring.dt_ns * 1e-9
-    for row in range(swarm.bodies.shape[0]):
-        if not computes(swarm, track, tick, row, disturbances):
-            continue
-        t = since_epoch(wiring, tick, row)
-        inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
-        state, config = swarm.states[row], swarm.configs[row]
-        follows = row != wiring.leader[row]
-        if tasks is not None and follows:
-            at = tasks[row]  # by pointer; a step takes it by value, as the tasks of ours
-            task = TaskGeometry(at.value, at.own, at.parent, at.reference, at.periodic)
-            swarm.states[row], out = step(state, inputs, t, dt, config, None, task)
-        elif velocities is not None and follows:
-            wanted = (velocities[row, 0], velocities[row, 1], velocities[row, 2])
-            swarm.states[row], out = step(state, inputs, t, dt, config, wanted)
-        else:
-            swarm.states[row], out = step(state, inputs, t, dt, config)
-        note(track, tick, row, out)
 
 
 @kernel
@@ -87,18 +57,6 @@ def _task_points(
             out[row, 6 + i] = found.reference[i]
         out[row, _POINTS] = 1.0 if found.heard else 0.0
     return out
-
-
-@kernel
-def _advance_all(
-    tick: int,
-    wiring: Wiring,
-    swarm: SwarmState,
-    track: FlightTrack,
-    disturbances: Disturbances | None,
-) -> None:
-    for row in range(swarm.bodies.shape[0]):
-        advance_plant(swarm, wiring, track, tick, row, disturbances)
 
 
 @kernel
@@ -155,7 +113,7 @@ class PluginLoop:
             if self._task is not None:
                 points = _task_points(tick, wiring, swarm, track, disturbances)
                 tasks = kernel_list([_geometry(self._task, row) for row in points.tolist()])
-            _step_all(tick, wiring, swarm, track, velocities, tasks, disturbances)
+            step_all(tick, wiring, swarm, track, velocities, tasks, disturbances)
             if self._controls:
                 self._control(tick, t, track, disturbances)
             self._advance(tick, wiring, swarm, track, disturbances)
@@ -229,7 +187,7 @@ class PluginLoop:
                 plant = swarm.plants[row]
                 swarm.plants[row] = world.disturbed(uav, tick, truth[row], plant)
         if world is None or world.plant is None:
-            _advance_all(tick, wiring, swarm, track, disturbances)
+            advance_all(tick, wiring, swarm, track, disturbances)
             return
         for row in range(len(self._ids)):
             if _flies(tick, row, wiring, swarm, disturbances):
