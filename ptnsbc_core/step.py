@@ -303,6 +303,50 @@ def task_points(
 
 
 @inline_kernel
+def _begins_anew(
+    state: AgentState, motions: NeighbourMotions, estimate_valid: bool, t: float
+) -> bool:
+    """True at an epoch, and when the leader's estimate or the parent is heard for the first time or lost."""
+    return (
+        state.mode == _NO_MODE
+        or t < state.last_t
+        or state.estimate_valid != estimate_valid
+        or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
+    )
+
+
+@inline_kernel
+def _told_velocity(inputs: AgentInputs, command: VelocityReference, config: AgentConfig) -> Vector3:
+    """Velocity [m/s, body FLU] that the neighbours are told: the commanded one, by which a plan can be followed."""
+    if config.approach == APPROACH_PLANNED:
+        return reported_velocity(inputs.own, command.velocity, config.filter.max_acceleration)
+    return load3(inputs.own, 7)
+
+
+@inline_kernel
+def _diagnostics(
+    behaviour: Behaviour,
+    planned: PlannerOutput,
+    control: ControlInput,
+    clock: Clock,
+    holding: bool,
+    standing_s: float,
+    config: AgentConfig,
+) -> AgentDiagnostics:
+    return AgentDiagnostics(
+        behaviour.error,
+        loop_gain(config.formation, clock),
+        behaviour.singular_value,
+        planned.active_rows,
+        planned.saturated or control.saturated,
+        holding,
+        planned.violation,
+        control.velocity_error,
+        in_deadlock(standing_s, config.clearance),
+    )
+
+
+@inline_kernel
 def step(
     state: AgentState,
     inputs: AgentInputs,
@@ -312,22 +356,12 @@ def step(
     guided: Vector3 | None = None,
     task: TaskGeometry | None = None,
 ) -> tuple[AgentState, AgentOutputs]:
-    """One tick: pure, no clock, no randomness, no I/O.
+    """One tick: pure, no clock, no randomness, no I/O. Returns the state for the next tick and what to send now.
 
-    Clearance, command filter and controller act on the velocity of another law as on ours; a UAV that holds does not
-    follow it. What depends on `guided` and `task` is compiled only where there is one: numba drops a branch on None.
-
-    Args:
-        state: of the previous tick; `initial_state` before the first.
-        inputs: what the UAV knows now.
-        t: time since the latest epoch [s].
-        dt: control period [s].
-        config: constants of this UAV.
-        guided: velocity [m/s, ENU] of another law in place of the formation law's.
-        task: a task of the user, evaluated at `task_points`, in place of ours.
-
-    Returns:
-        The state for the next tick and what to send now.
+    `t` [s] counts from the latest epoch; `dt` [s] is the control period. `guided` is the velocity [m/s, ENU] of another
+    law in place of the formation law's: clearance, command filter and controller act on it as on ours, and a UAV that
+    holds does not follow it. `task` is a task of the user, evaluated at `task_points`, in place of ours. What depends
+    on the two is compiled only where there is one: numba drops a branch on None.
     """
     inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
@@ -338,12 +372,7 @@ def step(
     target = hold_target(state, inputs, holding)
     yaw = desired_yaw(estimate, target, holding, clock, config)
 
-    at_epoch = (
-        state.mode == _NO_MODE
-        or t < state.last_t
-        or state.estimate_valid != estimate_valid
-        or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
-    )
+    at_epoch = _begins_anew(state, motions, estimate_valid, t)
     epoch = _epoch_errors(state, at_epoch, t, config)
     behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -385,29 +414,14 @@ def step(
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
         t,
     )
-    diagnostics = AgentDiagnostics(
-        behaviour.error,
-        loop_gain(config.formation, clock),
-        behaviour.singular_value,
-        planned.active_rows,
-        planned.saturated or control.saturated,
-        holding,
-        planned.violation,
-        control.velocity_error,
-        in_deadlock(standing_s, config.clearance),
-    )
-    yaw_rate = _yaw_rate(inputs, command, config)
-    reported = load3(inputs.own, 7)
-    if config.approach == APPROACH_PLANNED:
-        reported = reported_velocity(inputs.own, command.velocity, config.filter.max_acceleration)
     outputs = AgentOutputs(
         command.velocity,
-        yaw_rate,
+        _yaw_rate(inputs, command, config),
         control.force,
         control.torque,
         estimate,
         estimate_valid,
-        reported,
-        diagnostics,
+        _told_velocity(inputs, command, config),
+        _diagnostics(behaviour, planned, control, clock, holding, standing_s, config),
     )
     return after, outputs
