@@ -13,13 +13,13 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, fault_problems
-from ptnsbc_sim.scenario.mission.legs import mission_problems, moves_shape
-from ptnsbc_sim.scenario.mission.shapes import moves, shape_problems
-from ptnsbc_sim.scenario.mission.stream import takes_setpoints
+from ptnsbc_sim.scenario.mission.legs import mission_problems
+from ptnsbc_sim.scenario.mission.shapes import shape_problems
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_problems
 from ptnsbc_sim.scenario.model import NANOSECONDS, Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.obstacles import bodies, obstacle_problems
 from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.requirements import requirement_problems
 
 STABILITY_LIMIT = 2.0
 """An explicit Euler step of a linear decay with rate g is stable for dt g below this."""
@@ -85,7 +85,7 @@ def _links(file: ScenarioFile) -> Problems:
 
 
 def _parents(file: ScenarioFile) -> Problems:
-    links, formation = file.communication, file.formation
+    links = file.communication
     if not links.parents:
         return
     for child, weights in links.parents.items():
@@ -106,20 +106,6 @@ def _parents(file: ScenarioFile) -> Problems:
     except CycleError as error:
         cycle = " -> ".join(map(str, reversed(error.args[1])))
         yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
-    expected = (
-        (formation.task == "relative_position", "formation.task: relative_position"),
-        (formation.vacancy == "wait", "formation.vacancy: wait"),
-        (formation.assignment == "fixed", "formation.assignment: fixed"),
-        (
-            not (moves(formation) or moves_shape(file.mission)),
-            "a shape that does not move",
-        ),
-        (formation.sight_m == 0.0, "formation.sight_m: 0"),
-        (not (file.law or file.plugins.task), "no law and no task of the user"),
-    )
-    for holds, what in expected:
-        if not holds:
-            yield f"communication.parents: expected {what}"
 
 
 def estimator_peak(file: ScenarioFile) -> float:
@@ -278,28 +264,6 @@ def _offsets(file: ScenarioFile) -> Problems:
 def _trajectory(file: ScenarioFile) -> Problems:
     for problem in trajectory_problems(file.leader.trajectory):
         yield f"leader.trajectory.{problem}"
-    if not takes_setpoints(file.leader.trajectory):
-        return
-    # What decides these needs the whole trajectory, which nobody knows.
-    for key, given, fits in (
-        ("formation.frame", file.formation.frame, "world"),
-        ("formation.assignment", file.formation.assignment, "fixed"),
-        ("mission", "legs" if file.mission else "none", "none"),
-    ):
-        if given != fits:
-            yield f"{key}: {given}: expected {fits} with a leader that follows setpoints from a topic"
-
-
-def _turn(file: ScenarioFile) -> Problems:
-    formation = file.formation
-    if not formation.turn_rad:
-        return
-    for key, given, fits in (
-        ("assignment", formation.assignment, "fixed"),
-        ("approach", formation.approach, "planned"),
-    ):
-        if given != fits:
-            yield f"formation.turn_rad: {formation.turn_rad:g}: expected formation.{key}: {fits}"
 
 
 def _sight(file: ScenarioFile) -> Problems:
@@ -380,18 +344,6 @@ def _fence(fence: Geofence) -> Problems:
 
 
 def _law(file: ScenarioFile) -> Problems:
-    law, task = file.law, file.plugins.task
-    formation = file.formation
-    fixed = formation.assignment == "fixed" and formation.frame == "world"
-    changes = formation.changes or moves_shape(file.mission)
-    if (law or task) and not (fixed and not changes):
-        key, what = (f"law: {law}", "law") if law else (f"plugins.task: {task}", "task")
-        yield (
-            f"{key}: expected formation.assignment: fixed, frame: world and no changes, for a "
-            f"{what} of your own is told one place for each UAV"
-        )
-    if law and task:
-        yield f"plugins.task: {task}: a law flies the followers, not a task: expected one of the two"
     if file.plugins.plant and file.plant.kind != "quadrotor":
         yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
 
@@ -407,24 +359,6 @@ def _membership(file: ScenarioFile) -> Problems:
             yield f"{key}: expected formation.vacancy: keep or close_up, which says what becomes of an empty slot"
         return
     yield from _comings(file)
-    expected = (
-        (formation.approach == "planned", "formation.approach: planned"),
-        (formation.assignment == "fixed", "formation.assignment: fixed"),
-        (not moves(formation), "a shape that does not move"),
-        (
-            not moves_shape(file.mission),
-            "a mission without legs of kind take_off, change or split",
-        ),
-        (formation.sight_m == 0.0, "formation.sight_m: 0"),
-        (file.leader.trajectory.kind != "stream", "a trajectory that all UAVs know"),
-        (
-            not (file.law or file.plugins.task or file.plugins.controller),
-            "no functions of the user",
-        ),
-    )
-    for holds, what in expected:
-        if not holds:
-            yield f"formation.vacancy: {formation.vacancy}: expected {what}, or vacancy: wait"
 
 
 def _comings(file: ScenarioFile) -> Problems:
@@ -458,7 +392,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     communication_problems,
     _offsets,
     _trajectory,
-    _turn,
+    requirement_problems,
     shape_problems,
     mission_problems,
     _sight,

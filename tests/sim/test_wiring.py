@@ -94,9 +94,17 @@ def test_who_has_one_parent_costs_nothing() -> None:
         ({3: {2: 0.5, 5: 0.5}}, {}, "communication.parents: cycle 3 -> 5 -> 4 -> 3"),
         ({4: {3: 0.5, 2: 0.5}}, {"formation.task": "parent_angle"}, "relative_position"),
         ({4: {3: 0.5, 2: 0.5}}, {"formation.frame": "heading"}, "a shape that does not move"),
-        ({4: {3: 0.5, 2: 0.5}}, {"formation.assignment": "optimal"}, "assignment: fixed"),
-        ({4: {3: 0.5, 2: 0.5}}, {"formation.vacancy": "keep"}, "vacancy: wait"),
-        ({4: {3: 0.5, 2: 0.5}}, {"formation.sight_m": 0.2}, "sight_m: 0"),
+        (
+            {4: {3: 0.5, 2: 0.5}},
+            {"formation.assignment": "optimal"},
+            "assignment: optimal: expected fixed beside",
+        ),
+        (
+            {4: {3: 0.5, 2: 0.5}},
+            {"formation.vacancy": "keep"},
+            "vacancy: keep: expected wait beside",
+        ),
+        ({4: {3: 0.5, 2: 0.5}}, {"formation.sight_m": 0.2}, "sight_m: 0.2: expected 0 beside"),
     ],
 )
 def test_parents_that_do_not_fit_are_refused(parents, keys, text) -> None:

@@ -434,17 +434,6 @@ def mission_problems(file: Any) -> Iterator[str]:
     mission = file.mission
     if mission is None:
         return
-    if file.formation.changes:
-        yield "formation.changes: expected none beside mission.legs: a leg of kind change does the same"
-    if file.formation.approach != "planned":
-        yield f"formation.approach: {file.formation.approach}: expected planned for a mission"
-    if moves_shape(mission) and file.formation.task != "relative_position":
-        yield (
-            f"formation.task: {file.formation.task}: expected relative_position for a mission that changes "
-            "the shape or splits"
-        )
-    if file.law is not None:
-        yield f"law: {file.law}: expected none beside a mission"
     yield from _begins(mission, file.gains.formation.deadline_s)
     yield from _kinds(mission, file)
 
@@ -491,9 +480,6 @@ def _kinds(mission: Mission, file: Any) -> Iterator[str]:
             yield f"{where}.kind: land: expected no leg after it"
         for problem in _content(leg, followers):
             yield f"{where}.{problem}"
-        if isinstance(leg, SplitLeg):
-            for problem in _beside_split(mission, file.formation):
-                yield f"{where}.kind: split: {problem}"
 
 
 def _order(mission: Mission, index: int) -> str:
@@ -533,16 +519,3 @@ def _content(leg: Any, followers: list[int]) -> Iterator[str]:
     if isinstance(leg, ChangeLeg):
         for uav in sorted(set(followers).symmetric_difference(leg.offsets_m or followers)):
             yield f"offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
-
-
-def _beside_split(mission: Mission, formation: Any) -> Iterator[str]:
-    """The parts that a mission with a leg of kind split may not have."""
-    turned = any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in mission.legs)
-    expected = (
-        (formation.frame == "world", "formation.frame: world"),
-        (formation.assignment == "fixed", "formation.assignment: fixed"),
-        (not turned, "no leg of kind change with rotation_rad"),
-    )
-    for holds, what in expected:
-        if not holds:
-            yield f"expected {what}"

@@ -318,13 +318,6 @@ def shape_problems(file: Any) -> Iterator[str]:
     formation, last = file.formation, 0.0
     if not moves(formation):
         return
-    for key, word in (("task", "relative_position"), ("approach", "planned")):
-        value = getattr(formation, key)
-        if value != word:
-            yield (
-                f"formation.{key}: {value}: expected {word} for a shape that moves "
-                "(formation.frame: heading, formation.changes)"
-            )
     followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
     for index, change in enumerate(formation.changes):
         where = f"formation.changes[{index}]"

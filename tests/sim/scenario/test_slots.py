@@ -321,9 +321,12 @@ def test_only_those_with_another_place_begin_anew():
         ({"formation.vacancy": "wait"}, "uavs[6].joins_s: expected formation.vacancy"),
         ({"leader.successors": [1]}, "leader.successors[0]: 1: expected followers"),
         ({"leader.successors": [2, 2]}, "leader.successors[1]: 2"),
-        ({"formation.assignment": "optimal"}, "expected formation.assignment: fixed"),
+        (
+            {"formation.assignment": "optimal"},
+            "formation.assignment: optimal: expected fixed beside",
+        ),
         ({"formation.frame": "heading"}, "expected a shape that does not move"),
-        ({"formation.sight_m": 0.2}, "expected formation.sight_m: 0"),
+        ({"formation.sight_m": 0.2}, "formation.sight_m: 0.2: expected 0 beside"),
     ],
 )
 def test_what_does_not_fit_is_refused(keys, text):

@@ -206,7 +206,10 @@ def test_the_scenario_may_say_the_turn() -> None:
 
 @pytest.mark.parametrize("changes", [{"assignment": "optimal"}, {"approach": "task"}])
 def test_a_turn_needs_own_places_and_the_planned_approach(changes) -> None:
-    with pytest.raises(ScenarioError, match=r"formation.turn_rad: 1: expected formation\."):
+    with pytest.raises(
+        ScenarioError,
+        match=r"formation\.(assignment|approach): \w+: expected \w+ beside formation\.turn_rad",
+    ):
         ring(8, **{"formation.turn_rad": 1.0}, **{f"formation.{k}": v for k, v in changes.items()})
 
 

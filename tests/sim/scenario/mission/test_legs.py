@@ -206,7 +206,7 @@ def test_what_cannot_be_flown_is_refused(
 
 def test_legs_and_changes_do_not_mix() -> None:
     changes = {"formation.changes": [{"at_s": 9, "over_s": 2, "scale": [2, 1, 1]}]}
-    with pytest.raises(PtnsbcError, match=r"expected none beside mission\.legs"):
+    with pytest.raises(PtnsbcError, match=r"changes: expected none beside mission\.legs"):
         mission(FORM, GO).with_(changes)
 
 

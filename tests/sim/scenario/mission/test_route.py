@@ -269,11 +269,11 @@ def value(table: Array, channel: int, t: float) -> float:
         ([SPLIT, JOIN, JOIN], {}, r"legs\[3\]\.kind: join: expected a leg of kind split"),
         ([{**SPLIT, "head": 1}], {}, r"legs\[1\]\.head: 1: expected one of the followers"),
         ([{**SPLIT, "head": 9}], {}, r"legs\[1\]\.head: 9: expected one of the followers"),
-        ([SPLIT], {"formation.frame": "heading"}, r"split: expected formation\.frame: world"),
-        ([SPLIT], {"formation.assignment": "optimal"}, r"split: expected formation\.assignment"),
-        ([SPLIT, {**CHANGE, "rotation_rad": 1}], {}, r"split: expected no leg of kind change with"),
+        ([SPLIT], {"formation.frame": "heading"}, r"frame: heading: expected world beside a leg of kind split"),
+        ([SPLIT], {"formation.assignment": "optimal"}, r"optimal: expected fixed beside a leg of kind split"),
+        ([SPLIT, {**CHANGE, "rotation_rad": 1}], {}, r"mission.legs: expected no leg of kind change with"),
         ([SPLIT], {"formation.task": "parent_angle"}, r"formation\.task: parent_angle: expected rel"),
-        ([SPLIT], {"formation.vacancy": "keep"}, r"without legs of kind take_off, change or split"),
+        ([SPLIT], {"formation.vacancy": "keep"}, r"or legs of kind take_off, change or split beside"),
     ],
 )  # fmt: skip
 def test_a_group_that_cannot_leave_is_refused(
