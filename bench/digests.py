@@ -27,7 +27,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from bench.session import print_progress
-from ptnsbc_core.tasks.formation_tasks import TASKS
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.wire import decode_odometry, decode_wrench
 from ptnsbc_sim.scenario import scenario_from_text

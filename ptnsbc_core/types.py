@@ -204,7 +204,7 @@ class AgentConfig(NamedTuple):
     """Everything constant that one UAV needs."""
 
     leader: bool
-    task: int  # number in tasks/formation_tasks.py, or TASK_OWN
+    task: int  # number in tasks/table.py, or TASK_OWN
     approach: int  # APPROACH_*
     turn: float  # [rad] of the planned approach about the vertical, the same for all UAVs; 0: straight
     desired: Vector3  # desired task value sigma_d

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import typer
 from typer.core import TyperGroup
 
-from ptnsbc_core.tasks.formation_tasks import TaskName
+from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from paper.experiment_result import ExperimentResult
 from paper.flights import PROFILES, Setting
 from paper.output import ExperimentFolder
 from paper.swept import DEFAULT_APPROACH, RUNS, SweepCase, swept_table
-from ptnsbc_core.tasks.formation_tasks import TASKS
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_sim.sweep.family import find_family
 
 RULES = ("off", "set_based", "switched")

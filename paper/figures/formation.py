@@ -11,7 +11,8 @@ from paper.figures import panels, style
 from paper.figures.panels import DEADLINE_NOTE
 from paper.flights import JudgedFlight
 from paper.output import ExperimentFolder, time_column
-from ptnsbc_core.tasks.formation_tasks import TASKS, evaluate
+from ptnsbc_core.tasks.formation_tasks import evaluate
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.scenario.constants import reference_offset

@@ -1,19 +1,20 @@
-"""The formation tasks: one class each, and the table from which everything that names them follows.
+"""The formation tasks: one class each.
 
 A task sigma (3,) is a function of three positions [m, ENU]: p_i of the UAV, p_j of its parent, and p_k of the
-reference, the leader plus its anchor. A new task is a class here and a line in `FORMATION_TASKS`.
+reference, the leader plus its anchor. A new task is a class here and a line in `table`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.algebra import div3, eigen3, gram3, norm3, scale3, sub3, wrap_angle
 from ptnsbc_core.kernel import formula, inline_kernel
+from ptnsbc_core.tasks.table import CLASSES, TASKS
 from ptnsbc_core.types import Array, Matrix3, Vector2, Vector3, Vector3Like
 
 ZERO: Matrix3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -156,19 +157,8 @@ class RelativePosition(FormationTask):
 
 
 FORMATION_TASKS: dict[str, type[FormationTask]] = {
-    "distance_angles": DistanceAngles,
-    "parent_angle": ParentAngle,
-    "relative_position": RelativePosition,
+    name: globals()[class_name] for name, class_name in CLASSES.items()
 }
-
-TASKS = {name: number for number, name in enumerate(FORMATION_TASKS)}
-"""Number of each task: `AgentConfig.task`."""
-
-if TYPE_CHECKING:
-    TaskName = str
-else:
-    TaskName = Literal[tuple(TASKS)]
-    """Type of the keys and options that name a task."""
 
 
 def needs_arm(name: str) -> bool:

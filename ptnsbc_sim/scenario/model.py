@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from ptnsbc_core.tasks.formation_tasks import TaskName
+from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import (
     Block,

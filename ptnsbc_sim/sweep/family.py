@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from ptnsbc_core.tasks.formation_tasks import TaskName
+from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.reading import reader

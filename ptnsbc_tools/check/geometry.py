@@ -9,7 +9,8 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning
+from ptnsbc_core.tasks.formation_tasks import conditioning
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.deadline import leader_motion, planned_pairs, turn_of

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.tasks.formation_tasks import TASKS
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.problems import similar

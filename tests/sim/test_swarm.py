@@ -8,7 +8,7 @@ import pytest
 
 from ptnsbc_core.agent import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION, Agent
 from ptnsbc_core.curves.trajectory import reference
-from ptnsbc_core.tasks.formation_tasks import TASKS
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory

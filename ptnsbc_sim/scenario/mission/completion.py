@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning, metres_per_row, needs_arm
+from ptnsbc_core.tasks.formation_tasks import conditioning, metres_per_row, needs_arm
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import Number, Vec3
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg

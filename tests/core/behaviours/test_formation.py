@@ -10,7 +10,8 @@ from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.curves.turned import left_at, scaled
 from ptnsbc_core.nullspace import damped_solve
-from ptnsbc_core.tasks.formation_tasks import TASKS, evaluate, task_error
+from ptnsbc_core.tasks.formation_tasks import evaluate, task_error
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.timebase import h as time_base
 from ptnsbc_core.types import APPROACH_TASK, PROFILE_PAPER, StartErrors

@@ -16,7 +16,6 @@ from ptnsbc_core.tasks import formation_tasks as tasks
 from ptnsbc_core.tasks.formation_tasks import (
     FORMATION_TASKS,
     SOFTENING_M2,
-    TASKS,
     DistanceAngles,
     ParentAngle,
     RelativePosition,
@@ -26,6 +25,7 @@ from ptnsbc_core.tasks.formation_tasks import (
     softened,
     task_error,
 )
+from ptnsbc_core.tasks.table import TASKS
 
 damped_solve = on_arrays(damped_solve)
 distance_angles = on_arrays(DistanceAngles.evaluate)
@@ -264,7 +264,8 @@ def test_the_rows_that_are_angles_are_those_whose_errors_are_wrapped(task: str) 
 
 def test_nothing_else_lists_the_tasks() -> None:
     """A task is added in the table alone: no other module may name two of them, in whatever form."""
-    allowed = {ROOT / "ptnsbc_core" / "tasks" / "formation_tasks.py"}
+    tasks = ROOT / "ptnsbc_core" / "tasks"
+    allowed = {tasks / "table.py", tasks / "formation_tasks.py"}  # its line, and its class
     word = re.compile(rf"(?:\b|_)({'|'.join(TASKS)})\b", re.IGNORECASE)
     lists = {
         str(path.relative_to(ROOT)): sorted(names)

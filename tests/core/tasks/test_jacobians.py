@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.tasks.formation_tasks import TASKS, evaluate, task_error
+from ptnsbc_core.tasks.formation_tasks import evaluate, task_error
+from ptnsbc_core.tasks.table import TASKS
 
 evaluate = on_arrays(evaluate)
 task_error = on_arrays(task_error)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.tasks.formation_tasks import TASKS, conditioning
+from ptnsbc_core.tasks.formation_tasks import conditioning
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import reference_offset
 from ptnsbc_sim.scenario.fields import LARGEST
