@@ -1,4 +1,4 @@
-"""What one choice in a scenario needs of its other keys: one table, for the checks and for the page."""
+"""The needs of one choice in a scenario of its other keys: one table."""
 
 from __future__ import annotations
 

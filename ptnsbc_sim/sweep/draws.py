@@ -1,4 +1,4 @@
-"""What a sweep draws: values of keys of the scenario, and the starts of the UAVs."""
+"""The draws of a sweep: values of keys of the scenario, and the starts of the UAVs."""
 
 from __future__ import annotations
 
