@@ -566,7 +566,8 @@ class _Trace:
             return self.context.get_constant(kind, number)
         if number.kind == kind:
             return number.value
-        return self.builder.sitofp(number.value, self.context.get_value_type(kind))
+        convert = self.builder.fpext if number.kind == types.float32 else self.builder.sitofp
+        return convert(number.value, self.context.get_value_type(kind))
 
     def binary(self, name: str, left: Any, right: Any) -> _Number:
         kinds = [

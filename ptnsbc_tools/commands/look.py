@@ -237,6 +237,7 @@ def reproduce(context: typer.Context) -> None:
             "run ptnsbc reproduce from its .venv (make setup)"
         )
     sys.path.insert(0, str(_CLONE))
-    import_module("paper.command").app(
-        context.args, prog_name="ptnsbc reproduce", standalone_mode=False
-    )
+    command = typer.main.get_command(import_module("paper.command").app)
+    # Not `main`, which would turn an interrupt and an exit code into other ones.
+    with command.make_context("ptnsbc reproduce", list(context.args)) as of_paper:
+        command.invoke(of_paper)

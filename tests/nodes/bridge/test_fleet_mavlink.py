@@ -197,7 +197,7 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
     fleet.form()
     offsets = np.array([made.offset(i) for i in fleet.uavs])
     path = agent_config(made, made.leader.id).trajectory
-    while (flight_s := (fleet.now_ns - fleet.legs[0][0]) * 1e-9) < made.duration_s:
+    while (flight_s := (fleet.now_ns - fleet.legs[0][0]) * 1e-9) < made.timing.duration_s:
         fleet.run(0.1)
         places = true_places(fleet)
         closest_m += [np.linalg.norm(a - b) for a, b in combinations(places, 2)]
