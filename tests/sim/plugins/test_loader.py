@@ -161,7 +161,7 @@ def test_a_scenario_from_a_bag_names_no_file_to_execute(write: Write, tmp_path: 
         ({"law": "mine.py"}, r"law: .*expected FILE\.py:NAME"),
         (
             {"law": "mine.py:law", "formation.assignment": "optimal"},
-            r"expected formation\.assignment: fixed",
+            r"formation\.assignment: optimal: expected fixed",
         ),
         (
             {
@@ -169,7 +169,7 @@ def test_a_scenario_from_a_bag_names_no_file_to_execute(write: Write, tmp_path: 
                 "formation.frame": "heading",
                 "formation.task": "relative_position",
             },
-            r"frame: world and no changes",
+            r"formation: expected a shape that does not move, without frame: heading",
         ),
     ],
 )
