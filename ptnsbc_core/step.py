@@ -9,12 +9,27 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, load3, norm3, odometry_tuple, sub3, wrap_angle
-from ptnsbc_core.behaviours.attitude import attitude
-from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
-from ptnsbc_core.behaviours.deadlock import in_deadlock, standing_time, stands_still, way_out
 from ptnsbc_core.behaviours.formation import is_plan_left
+from ptnsbc_core.behaviours.mission import (
+    attitude,
+    desired_yaw,
+    hold_behaviour,
+    hold_target,
+    link_lost,
+    mission_behaviour,
+    parent_and_leader,
+    with_velocity,
+)
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
-from ptnsbc_core.behaviours.recovery import DISTURBED, UNDISTURBED, armed
+from ptnsbc_core.behaviours.recovery import (
+    DISTURBED,
+    UNDISTURBED,
+    armed,
+    in_deadlock,
+    standing_time,
+    stands_still,
+    way_out,
+)
 from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
@@ -26,15 +41,6 @@ from ptnsbc_core.control.rigid_body_control import (
 from ptnsbc_core.estimator import leader_estimate
 from ptnsbc_core.kernel import by_reference, formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
-from ptnsbc_core.mission import (
-    desired_yaw,
-    hold_behaviour,
-    hold_target,
-    link_lost,
-    mission_behaviour,
-    parent_and_leader,
-    with_velocity,
-)
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
@@ -55,6 +61,9 @@ from ptnsbc_core.types import (
     AgentOutputs,
     AgentState,
     Array,
+    Behaviour,
+    Beside,
+    EpochErrors,
     Estimate,
     NeighbourMotions,
     OdometryLike,

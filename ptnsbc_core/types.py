@@ -295,7 +295,7 @@ class AgentState(NamedTuple):
     obstacle_memory: Array  # (8, 7) x y z side active_s quiet_s used
     start: StartErrors
     recovery: Recovery
-    standing_s: float  # time without a way to the place [s], see behaviours/deadlock.py
+    standing_s: float  # time without a way to the place [s], see behaviours/recovery.py
     motions: NeighbourMotions
     hold: PoseTarget  # the pose at which holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
@@ -336,3 +336,41 @@ class ClearanceTask(NamedTuple):
     jacobian: Array  # (A, 3) their normals
     secondary: Vector3  # velocity for the priority below: the formation's, with circulation added
     memory: Array  # obstacle memory after this tick
+
+
+class Beside(NamedTuple):
+    """The distance of a UAV from its plan by its own doing: without the part that it takes over from its parent."""
+
+    deviation: Vector3  # [m, ENU] to the plan
+    velocity: Vector3  # [m/s, ENU] of the plan: what the behaviour asks for without a deviation
+    planned: bool  # an encounter is followed by a way back
+
+
+class FormationPlace(NamedTuple):
+    """The place of a UAV in the end."""
+
+    error: Vector3  # [m, ENU] from the UAV to it
+    velocity: Vector3  # [m/s, ENU] of it
+
+
+class Behaviour(NamedTuple):
+    """Velocity that one behaviour asks for, and the state of its task."""
+
+    velocity: Vector3  # [m/s, ENU]
+    error: Vector3  # sigma_d - sigma, the task's own units
+    singular_value: float
+    acceleration: (
+        Vector3  # [m/s^2, ENU] rate of `velocity` while the plan is kept: the filter's lead
+    )
+    slot_start: Vector3  # [m, ENU] start error that the plan of this epoch uses
+    edge_start: Vector3  # [m, ENU] likewise, relative to the parent
+    beside: Beside
+    place: FormationPlace
+
+
+class EpochErrors(NamedTuple):
+    """Errors at the epoch, of which plans are made."""
+
+    at_epoch: bool  # this tick is the epoch: the present errors count
+    start: StartErrors
+    recovery: Recovery  # after the last encounter

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core import agent as columns
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_sim.scenario import Scenario
 
@@ -112,7 +113,7 @@ def counters_of(diagnostics: Array, scenario: Scenario) -> Array:
     every = status_every(scenario)
     ticks = np.cumsum(diagnostics[:, :, list(_COUNTED.values())] > 0, axis=0)[::every]
     values = np.zeros((*ticks.shape[:2], len(COUNTERS)))
-    times = np.round(ticks * (scenario.timing.dt_ns * 1e-9), 3)
+    times = np.round(ticks * seconds(scenario.timing.dt_ns), 3)
     values[:, :, [COUNTERS.index(name) for name in _COUNTED]] = times
     worst = np.maximum.accumulate(diagnostics[:, :, columns.PRIORITY_VIOLATION])[::every]
     values[:, :, COUNTERS.index("priority_violation_max")] = worst

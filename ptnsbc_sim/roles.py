@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.behaviours.neighbour import SILENT
 from ptnsbc_core.behaviours.recovery import DISTURBED
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import NEVER_RECEIVED_S, AgentState, Array, NeighbourMotions, StartErrors
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.disturbances.links import last_state_received
@@ -97,7 +98,7 @@ def _of_uav(
 def _ages(scenario: Scenario, uav: int, other: int) -> Array:
     """Age [s] of the newest state (T,) of another UAV at every tick."""
     sent = last_state_received(scenario, uav, other)
-    age_s = ((np.arange(len(sent)) - sent) * scenario.timing.dt_ns) * 1e-9
+    age_s = seconds((np.arange(len(sent)) - sent) * scenario.timing.dt_ns)
     return np.asarray(np.where(sent >= 0, age_s, NEVER_RECEIVED_S), dtype=np.float64)
 
 
@@ -111,7 +112,7 @@ def _looks(
     stale_s = float(scenario.communication.stale_s)
     ticks = np.arange(scenario.timing.ticks, dtype=np.int64)
     since_ns = ticks * scenario.timing.dt_ns
-    seen = [dead, ((ticks - woke) * scenario.timing.dt_ns) * 1e-9 <= stale_s]
+    seen = [dead, seconds((ticks - woke) * scenario.timing.dt_ns) <= stale_s]
     seen += [of > stale_s for of in ages.values()]
     seen += [of >= NEVER_RECEIVED_S for of in ages.values()]
     seen += [since_ns >= joins_ns(scenario, uav) for uav in scenario.uav_ids]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import kernel, kernel_list, referred
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
 from ptnsbc_sim.disturbances.build import (
@@ -129,7 +130,7 @@ def swarm_of(
     else:
         plants = like.plants
     bodies = start_states(scenario, plants)
-    seen = _first_seen(measure_all(bodies, plants), wiring.dt_ns * 1e-9, disturbances)
+    seen = _first_seen(measure_all(bodies, plants), seconds(wiring.dt_ns), disturbances)
     size, objects = len(ids), len(ids) + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.algebra import store
-from ptnsbc_core.behaviours.parents import mean_parent
+from ptnsbc_core.behaviours.neighbour import mean_parent
 from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import (
@@ -69,7 +70,7 @@ Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None]
 @inline_kernel
 def _age(tick: int, sent: int, dt_ns: int) -> float:
     """Seconds since a message of tick `sent`, -1: none was received."""
-    return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_RECEIVED_S
+    return seconds((tick - sent) * dt_ns) if sent >= 0 else NEVER_RECEIVED_S
 
 
 @inline_kernel
@@ -155,9 +156,9 @@ def inputs_of(
         estimates,
         ages,
         swarm.near[row, : swarm.near_count[row]],
-        (behind * wiring.dt_ns) * 1e-9,
+        seconds(behind * wiring.dt_ns),
         _mode_at(wiring, row, now_ns),
-        now_ns * 1e-9,
+        seconds(now_ns),
     )
 
 
@@ -167,7 +168,7 @@ def since_epoch(wiring: Wiring, tick: int, row: int) -> float:
     now_ns = tick * wiring.dt_ns
     if now_ns >= wiring.landing_ns[row]:
         now_ns -= wiring.landing_ns[row]
-    return now_ns * 1e-9
+    return seconds(now_ns)
 
 
 @kernel
@@ -228,7 +229,7 @@ def _believed(
         disturbances.position_errors[row],
         disturbances.position_samples[tick, row],
         tick,
-        wiring.dt_ns * 1e-9,
+        seconds(wiring.dt_ns),
         disturbances.position_noise,
     )
     add_jumps(measured, tick, row, disturbances.jumps)
@@ -282,7 +283,7 @@ def advance_plant(
     plant = swarm.plants[row]
     if not blown(swarm, wiring, tick, row, disturbances):
         return
-    t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
+    t, dt = seconds(tick * wiring.dt_ns), seconds(wiring.dt_ns)
     advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
 
 
@@ -297,7 +298,7 @@ def step_all(
     disturbances: Disturbances | None,
 ) -> None:
     """The control step of every UAV that computes: `velocities` (N, 3) [m/s, ENU] and `tasks` are of followers."""
-    dt = wiring.dt_ns * 1e-9
+    dt = seconds(wiring.dt_ns)
     for row in range(swarm.bodies.shape[0]):
         if not computes(swarm, track, tick, row, disturbances):
             continue

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario, several_parents
@@ -15,7 +16,7 @@ from ptnsbc_sim.scenario.slots import NEVER_NS, joins_ns, leaves_ns
 
 
 class ParentRows(NamedTuple):
-    """UAVs with several parents, as rows of the swarm; see `ptnsbc_core.behaviours.parents`."""
+    """UAVs with several parents, as rows of the swarm; see `ptnsbc_core.behaviours.neighbour`."""
 
     several: NDArray[np.int64]  # (N,) how many; 0 for a UAV with one
     rows: NDArray[np.int64]  # (N, P), -1 beyond the last
@@ -99,7 +100,7 @@ def wiring_of(scenario: Scenario) -> Wiring:
     for index, some in enumerate(neighbours):
         table[index, : len(some)] = [row[uav_id] for uav_id in some]
     readings = np.arange(-(-scenario.timing.ticks // scenario.near_every), dtype=np.int64)
-    sensed_s: Array = readings * (scenario.near_every * scenario.timing.dt_ns) * np.float64(1e-9)
+    sensed_s: Array = seconds(readings * (scenario.near_every * scenario.timing.dt_ns))
     parents = [scenario.communication.parent(uav_id) for uav_id in ids]
     landing_ns = NEVER_NS if scenario.landing_ns is None else scenario.landing_ns
     return Wiring(

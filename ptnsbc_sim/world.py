@@ -8,6 +8,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
@@ -18,8 +19,6 @@ from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.wiring import keep_outs_of
-
-NANO = 1e-9
 
 _NO_WRENCH = np.zeros(6)
 
@@ -119,7 +118,7 @@ class World:
         """Obstacles (O, 20) at a tick, in real time at the time of the mission."""
         if not self._moving:
             return self._obstacles
-        t = (tick * self._dt_ns) * NANO if self.mission_s is None else self.mission_s
+        t = seconds(tick * self._dt_ns) if self.mission_s is None else self.mission_s
         return np.asarray(obstacle_rows(self._scenario, np.array([t]))[0])
 
     def obstacle_positions(self) -> Array:
@@ -144,7 +143,7 @@ class World:
         """The wrench (6,) of a vehicle whose setpoint is late: its inner loop keeps the attitude."""
         row = self._row[uav_id]
         rates = self._truth[row][10:13]
-        return keeping_attitude(wrench, rates, self._built[row], self._dt_ns * NANO)
+        return keeping_attitude(wrench, rates, self._built[row], seconds(self._dt_ns))
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
@@ -169,8 +168,8 @@ class World:
                 row,
                 _NO_WRENCH if wrench is None else wrench,
                 wrench is not None,
-                tick * self._dt_ns * NANO,
-                self._dt_ns * NANO,
+                seconds(tick * self._dt_ns),
+                seconds(self._dt_ns),
                 self._substeps,
                 self._plants,
             )

@@ -11,13 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, sub3
-from ptnsbc_core.behaviours.contract import (
-    Behaviour,
-    Beside,
-    EpochErrors,
-    FormationPlace,
-    Neighbour,
-)
+from ptnsbc_core.behaviours.neighbour import Neighbour
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.curves.turned import TurnedStep, plus_scaled, start_of, turned_step
@@ -38,6 +32,10 @@ from ptnsbc_core.types import (
     APPROACH_PLANNED,
     SPEED_BRAKING,
     AgentConfig,
+    Behaviour,
+    Beside,
+    EpochErrors,
+    FormationPlace,
     Vector3,
 )
 

@@ -1,4 +1,4 @@
-"""The motion of a neighbour, as its messages report it.
+"""The motion of a neighbour: as its messages report it, as the own sensor sees it, and of several parents as of one.
 
 A message carries the velocity that its sender commands, not the one that it measures: a measured velocity has
 gone through the tilt, the motors and the filter of the sender, and a chain of UAVs that feed it forward amplifies
@@ -7,11 +7,23 @@ that lag at every hop.
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import axpy, limit_norm, matvec_transposed, norm3, scale3, sub3
-from ptnsbc_core.behaviours.contract import Neighbour
-from ptnsbc_core.kernel import inline_kernel
+from typing import NamedTuple
+
+from ptnsbc_core.algebra import (
+    add3,
+    axpy,
+    limit_norm,
+    load3,
+    matvec_transposed,
+    norm3,
+    scale3,
+    store3,
+    sub3,
+)
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation, velocity_enu
-from ptnsbc_core.types import NEVER_RECEIVED_S, NeighbourMotion, OdometryLike, Vector3
+from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
+from ptnsbc_core.types import NEVER_RECEIVED_S, Array, NeighbourMotion, OdometryLike, Vector3
 
 UNKNOWN = NeighbourMotion((0.0, 0.0, 0.0), -NEVER_RECEIVED_S, (0.0, 0.0, 0.0))
 """Nothing has been received."""
@@ -24,6 +36,19 @@ _SAME_S = 1e-6
 
 _RESPONSE_S = 0.25
 """A vehicle that follows its command deviates from it by no more than its largest acceleration in this time."""
+
+_FULL, _NONE = 0.1, 0.5
+"""Shares of stale_s: a parent whose message is older than the freshest by less than the first has all of its weight,
+by more than the second none."""
+
+
+class Neighbour(NamedTuple):
+    """Motion of another UAV, extrapolated to the present from a message that came `delay_s` later than it could."""
+
+    position: Vector3  # [m, ENU]
+    velocity: Vector3  # [m/s, ENU]
+    acceleration: Vector3  # [m/s^2, ENU]
+    delay_s: float  # [s]
 
 
 @inline_kernel
@@ -77,3 +102,68 @@ def reported_velocity(own: OdometryLike, command: Vector3, max_acceleration: flo
     length, reach = norm3(ahead), _RESPONSE_S * max_acceleration
     share = 1.0 if length <= reach else reach / length
     return matvec_transposed(rotation(own, 3), axpy(share, ahead, measured))
+
+
+@kernel
+def associate(reported: Neighbour, near: Array, near_age_s: float, gate_m: float) -> Neighbour:
+    """The near object that is a neighbour: the nearest one to its reported position; the report where there is none.
+
+    Two UAVs that localise themselves by satellite have independent errors, and a formation built from two such
+    positions is off by both. The sensor places an object relative to the UAV's own position, whose error is then in
+    both ends of the difference and cancels. The same holds for velocities. This is not one of the paper's laws; in its
+    experiment the UAVs detect each other by their own sensors.
+
+    Args:
+        reported: position and velocity that the neighbour reports, extrapolated to the present.
+        near: (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU].
+        near_age_s: age of `near`, by which its objects are extrapolated.
+        gate_m: an object at this distance or farther from the reported position is not the neighbour.
+    """
+    least, neighbour = gate_m, reported
+    for row in range(near.shape[0]):
+        if near[row, 3] >= TANGENT_RADIUS_M:
+            continue  # it stands for a wall: its centre is nowhere
+        velocity = load3(near[row], 4)
+        position = axpy(near_age_s, velocity, near[row])
+        distance = norm3(sub3(position, reported.position))
+        if distance < least:
+            least = distance
+            neighbour = Neighbour(position, velocity, reported.acceleration, reported.delay_s)
+    return neighbour
+
+
+@kernel
+def mean_parent(
+    states: Array, ages: Array, weights: Array, shifts: Array, stale_s: float, mean: Array
+) -> float:
+    """Write the mean message of several parents, with world axes as body axes, and return its age [s].
+
+    A parent gives its state, moved to the slot of the first parent. The mean of these is the message of one parent in
+    that slot, and the laws take it as such (docs/notes/chains.md, "Several parents"). The weight of a parent that is
+    not heard goes to the others. Without any message the age is NEVER_RECEIVED_S.
+
+    Args:
+        states: (P, 13) newest odometry vectors of the parents.
+        ages: (P,) their ages [s].
+        weights: (P,) of the parents, positive.
+        shifts: (P, 3) [m, ENU] from the slot of each parent to that of the first.
+        stale_s: silence after which a UAV without another parent holds.
+        mean: (13,) is overwritten.
+    """
+    position, velocity, zero = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    age, total, freshest = 0.0, 0.0, NEVER_RECEIVED_S
+    for k in range(len(ages)):
+        freshest = min(freshest, ages[k])
+    for k in range(len(ages)):
+        late = (ages[k] - freshest) / stale_s
+        weight = weights[k] * min(max((_NONE - late) / (_NONE - _FULL), 0.0), 1.0)
+        position = axpy(weight, add3(load3(states[k], 0), load3(shifts[k], 0)), position)
+        velocity = axpy(weight, velocity_enu(states[k]), velocity)
+        age += weight * ages[k]
+        total += weight
+    store3(mean, 0, scale3(1.0 / total, position))
+    store3(mean, 3, zero)
+    mean[6] = 1.0
+    store3(mean, 7, scale3(1.0 / total, velocity))
+    store3(mean, 10, zero)
+    return age / total if freshest < NEVER_RECEIVED_S else NEVER_RECEIVED_S

@@ -1,1 +1,1 @@
-"""Tasks: one module each; `contract.py` says what a task is, `table.py` which there are, `registry.py` chooses."""
+"""The clearance task, the formation tasks and their table, and the distances of bodies."""

@@ -24,7 +24,7 @@ from ptnsbc_core.agent import (
     START_AGE,
     PackedInputs,
 )
-from ptnsbc_core.behaviours.parents import mean_parent
+from ptnsbc_core.behaviours.neighbour import mean_parent
 from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import gusts as wind
 from ptnsbc_sim.disturbances import position_noise as position
@@ -49,7 +50,7 @@ def gusts_of(scenario: Scenario) -> Gusts:
         np.array(world.wind_m_s, dtype=np.float64),
         deviation,
         float(world.gust_time_s),
-        scenario.timing.dt_ns * 1e-9,
+        seconds(scenario.timing.dt_ns),
     )
 
 
@@ -124,7 +125,7 @@ class VehicleDisturbances:
         self._gusts = gusts_of(scenario)
         self._position_address = (scenario.seed, random_streams.POSITION, uav_id)
         self._gust_address = (scenario.seed, random_streams.GUST, uav_id)
-        self._dt = scenario.timing.dt_ns * 1e-9
+        self._dt = seconds(scenario.timing.dt_ns)
         self._wind = wind_m_s
         self._gust = np.zeros(wind.SAMPLES)
         self._error = initial_error(self._position_noise)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario
@@ -49,7 +50,7 @@ def message_fault(fault: FaultBlock, number: int, t0_ns: int) -> MessageFault | 
     if fault.kind == "loss":
         return MessageFault(sender, start_ns, end_ns, loss=fault.share or 0.0, number=number)
     if fault.kind == "delay":
-        late_ns = round((fault.delay_s or 0.0) * 1e9)
+        late_ns = nanoseconds(fault.delay_s or 0.0)
         return MessageFault(sender, start_ns, end_ns, delay_ns=late_ns, number=number)
     return None
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.disturbances.faults import FaultyLink, MessageFault, delays_ns, message_faults
 from ptnsbc_sim.scenario import Scenario
@@ -61,7 +62,7 @@ NO_DELAY = LinkDelay(0, 0)
 
 def link_delay(scenario: Scenario, sender: int, receiver: int) -> LinkDelay:
     """The delay of one link."""
-    delay_ns = round(scenario.communication.link(sender, receiver).delay_s * 1e9)
+    delay_ns = nanoseconds(scenario.communication.link(sender, receiver).delay_s)
     return LinkDelay(delay_ns, -(-delay_ns // scenario.timing.dt_ns))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import TaskPoints, task_points
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import Array
@@ -43,7 +44,7 @@ def _task_points(
     disturbances: Disturbances | None,
 ) -> Array:
     """The states at which the UAVs evaluate their tasks: rows (N, 10)."""
-    dt = wiring.dt_ns * 1e-9
+    dt = seconds(wiring.dt_ns)
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
     for row in range(swarm.bodies.shape[0]):
         if not computes(swarm, track, tick, row, disturbances):
@@ -159,13 +160,13 @@ class PluginLoop:
         for sender in law.senders:
             sent = int(self._received[row, sender][tick])
             if sent >= 0:
-                age_s = ((tick - sent) * self._scenario.timing.dt_ns) * 1e-9
+                age_s = seconds((tick - sent) * self._scenario.timing.dt_ns)
                 yield Heard(sender, track.reported[sent, self._rows[sender]], age_s)
 
     def _control(
         self, tick: int, t: float, track: FlightTrack, disturbances: Disturbances | None
     ) -> None:
-        dt = self._scenario.timing.dt_ns * 1e-9
+        dt = seconds(self._scenario.timing.dt_ns)
         for row, (plugins, config) in enumerate(zip(self._uavs, self._configs, strict=True)):
             if disturbances is None or not dead(tick, row, disturbances):
                 odometry, command = track.odometry[tick, row], track.velocity[tick, row]

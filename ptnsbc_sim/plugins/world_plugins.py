@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import NEAR_COLUMNS, Array
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.plants.build import plant_config
@@ -20,7 +21,6 @@ from ptnsbc_sim.plugins.loader import load_plugin
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 
-_NANO = 1e-9
 _QUATERNION = slice(3, 7)
 
 
@@ -51,7 +51,7 @@ class WorldPlugins:
         return {uav: plant_config(scenario, uav).offset for uav in scenario.uav_ids}
 
     def _seconds(self, tick: int) -> float:
-        return tick * self._scenario.timing.dt_ns * _NANO
+        return seconds(tick * self._scenario.timing.dt_ns)
 
     def _samples(self, uav: int, address: int) -> Array:
         """Standard normal numbers (6,); even addresses are the disturbance's, odd ones the sensor's."""
@@ -86,7 +86,7 @@ class WorldPlugins:
             PluginError: the function raised an error, or did not return 17 finite numbers.
         """
         substeps = self._scenario.timing.physics_hz // self._scenario.timing.control_hz
-        begin, step = self._seconds(tick), self._scenario.timing.dt_ns * _NANO / substeps
+        begin, step = self._seconds(tick), seconds(self._scenario.timing.dt_ns) / substeps
         for n in range(substeps):
             t, x = begin + n * step, np.array(state)
             first = self._rate(t, x, wrench, plant)

@@ -93,7 +93,7 @@ def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
 
 
 class SeveralParents(NamedTuple):
-    """The share that one UAV takes of each of its parents; see `ptnsbc_core.behaviours.parents`."""
+    """The share that one UAV takes of each of its parents; see `ptnsbc_core.behaviours.neighbour`."""
 
     ids: tuple[int, ...]  # (P,)
     weights: Array  # (P,)

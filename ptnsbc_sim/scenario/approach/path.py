@@ -1,7 +1,7 @@
 """The path that the law plans for each UAV until the deadline, the turns that keep paths apart, and what a path asks.
 
 In the world a UAV is planned at r - e + s - z E. The leader is e behind its trajectory r, by its law
-e' = (1 - c) r' - G e from its start error (`ptnsbc_core.behaviours.leader_tracking`). The place s moves in from rest,
+e' = (1 - c) r' - G e from its start error (`ptnsbc_core.behaviours.mission`). The place s moves in from rest,
 and z E is what is left of the start error E beside the leader (`ptnsbc_core.curves.turned`). Speed and acceleration
 are differences of the samples.
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from on_arrays import on_arrays
 
-from ptnsbc_core.behaviours.contract import EpochErrors, Neighbour
 from ptnsbc_core.behaviours.formation import formation
-from ptnsbc_core.behaviours.leader_tracking import leader_tracking
+from ptnsbc_core.behaviours.mission import leader_tracking
+from ptnsbc_core.behaviours.neighbour import Neighbour
+from ptnsbc_core.behaviours.recovery import UNDISTURBED
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.curves.turned import left_at, scaled
 from ptnsbc_core.nullspace import damped_solve
@@ -14,7 +15,7 @@ from ptnsbc_core.tasks.formation_tasks import evaluate, task_error
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.timebase import h as time_base
-from ptnsbc_core.types import APPROACH_TASK, PROFILE_PAPER, StartErrors
+from ptnsbc_core.types import APPROACH_TASK, PROFILE_PAPER, EpochErrors, StartErrors
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 damped_solve = on_arrays(damped_solve)
@@ -26,7 +27,7 @@ task_error = on_arrays(task_error)
 
 DT, TF = 0.01, 5.0
 FOLLOWERS = (2, 3, 4, 5)
-NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
 
 
 def by_the_design(position, parent, leader, clock, config):
@@ -125,7 +126,7 @@ def test_leaders_velocity_stays_outside_the_damping() -> None:
     np.testing.assert_allclose(out.velocity, moving, atol=1e-12)
 
 
-PLANNED = EpochErrors(True, StartErrors(*np.zeros((4, 3))))
+PLANNED = EpochErrors(True, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
 
 
 def planned_chain(task: str, seconds: float, starts: np.ndarray, turn: float = 0.0):
@@ -147,7 +148,7 @@ def planned_chain(task: str, seconds: float, starts: np.ndarray, turn: float = 0
             out = formation(place[uav], parent, leader, epochs[uav], clock, configs[uav], None)
             if k == 0:
                 starts_of = StartErrors(*np.zeros((2, 3)), out.slot_start, out.edge_start)
-                epochs[uav] = EpochErrors(False, starts_of)
+                epochs[uav] = EpochErrors(False, starts_of, UNDISTURBED)
             speed[uav] = out.velocity
         for uav in FOLLOWERS:
             place[uav] = place[uav] + DT * speed[uav]
@@ -195,7 +196,7 @@ def test_half_of_a_parents_deviation_reaches_its_child(lag_s: float) -> None:
     """
     config = agent_config(load_scenario("paper_5", {"formation.task": "relative_position"}), 3)
     still = np.zeros(3)
-    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
     slot, offset = np.array(config.slot), np.array(config.offset)
     settling = round(10.0 / DT)
     for omega in (0.3, 1.0, 3.0, 10.0):
@@ -224,7 +225,7 @@ def test_whatever_every_hop_adds_a_chain_adds_up_to_twice_that() -> None:
     """x_n = rho x_(n-1) + w: the sum of a geometric series, for chains of any length."""
     config = agent_config(load_scenario("paper_5", {"formation.task": "relative_position"}), 3)
     still, added = np.zeros(3), np.array([0.01, -0.02, 0.005])
-    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
     slot, offset = np.array(config.slot), np.array(config.offset)
     leader = Neighbour(still, still, still, 0.0)
     clock, off = Clock(3.0 * TF, 3.0 * TF, DT), np.zeros(3)
@@ -244,7 +245,7 @@ def test_a_badly_conditioned_task_leaves_holding_to_the_positions(uav: int, by_t
     """UAV 2 of paper_5 has a smallest singular value of 0.15, UAV 3 of 1."""
     config = agent_config(load_scenario("paper_5"), uav)
     still = np.zeros(3)
-    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
     leader = Neighbour(still, still, still, 0.0)
     parent = Neighbour(np.array(config.slot) - np.array(config.offset), still, still, 0.0)
     error = np.array([0.02, -0.01, 0.03])

@@ -18,11 +18,10 @@ from clearance_case import (
 from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limit_norm
-from ptnsbc_core.behaviours.contract import FormationPlace
-from ptnsbc_core.behaviours.deadlock import standing_time, stands_still, way_out
+from ptnsbc_core.behaviours.recovery import standing_time, stands_still, way_out
 from ptnsbc_core.tasks.near_constraints import ObstacleView
 from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
-from ptnsbc_core.types import AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED
+from ptnsbc_core.types import AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED, FormationPlace
 
 limit_norm = on_arrays(limit_norm)
 stands_still, way_out = on_arrays(stands_still), on_arrays(way_out)

@@ -74,5 +74,7 @@ def test_a_task_that_cannot_be_flown_is_named(
 
 
 def test_a_mission_that_changes_the_shape_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"formation: expected a shape that does not move, without .* changes"):
+    with pytest.raises(
+        ScenarioError, match=r"formation: expected a shape that does not move, without .* changes"
+    ):
         load_scenario("mission_6", {"plugins.task": CYLINDER})
