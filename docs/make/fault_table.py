@@ -263,9 +263,9 @@ ANSWERS = (
         f"{LAND_S:g} s later is still in the mode of its bridge is landed; once the stream stopped, exit code 1",
         f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
         (
-            f"{_BRIDGE}procedure/test_procedure.py::test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
-            f"{_BRIDGE}procedure/test_procedure.py::test_after_a_failsafe_hold_px4_comes_back_by_itself",
-            f"{_BRIDGE}procedure/test_procedure.py::test_a_failsafe_that_only_waits_ends_with_a_landing",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_after_a_failsafe_hold_px4_comes_back_by_itself",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_a_failsafe_that_only_waits_ends_with_a_landing",
             f"{_BRIDGE}test_bridge.py::test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
         ),
     ),
@@ -278,8 +278,8 @@ ANSWERS = (
         f"held where it is, and landed after {AWAY_S:g} s",
         "at once, when its controller is back: it takes its slot again",
         (
-            f"{_BRIDGE}procedure/test_procedure.py::test_where_uavs_come_and_go_a_vehicle_is_held_until_its_controller_is_back",
-            f"{_BRIDGE}procedure/test_procedure.py::test_a_vehicle_is_not_held_for_a_controller_that_stays_away",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_where_uavs_come_and_go_a_vehicle_is_held_until_its_controller_is_back",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_a_vehicle_is_not_held_for_a_controller_that_stays_away",
         ),
     ),
     FaultAnswer(
@@ -304,7 +304,7 @@ ANSWERS = (
         "the failsafe of the vehicle acts; a bridge that goes on says that it stood still; exit code 1",
         f"when it goes on and setpoints have been fresh for {RECOVERED_S:g} s",
         (
-            f"{_BRIDGE}procedure/test_procedure.py::test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller",
             f"{_BRIDGE}test_bridge.py::test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe",
         ),
     ),
@@ -372,7 +372,7 @@ ANSWERS = (
         _STOP,
         "yields for good: no setpoint, no command",
         _NEVER,
-        (f"{_BRIDGE}procedure/test_procedure.py::test_the_pilot_takes_over_and_the_bridge_yields",),
+        (f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_the_pilot_takes_over_and_the_bridge_yields",),
     ),
     FaultAnswer(
         "a vehicle refuses to arm, or its bridge gives up before the flight",
@@ -421,8 +421,8 @@ ANSWERS = (
         "named, and never armed again",
         _NEVER,
         (
-            f"{_BRIDGE}procedure/test_procedure.py::test_rebooted_in_flight",
-            f"{_BRIDGE}procedure/test_procedure.py::test_disarmed_in_flight",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_rebooted_in_flight",
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_disarmed_in_flight",
         ),
     ),
     FaultAnswer(

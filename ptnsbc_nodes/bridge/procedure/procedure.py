@@ -324,8 +324,10 @@ def _arm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if now.mode is not FlightMode.OWN:
         reason = f"the pilot took over before arming: mode {now.mode_name}"
         return Transition(Step.FAILED, reason)
-    if now.armed and now.landed is False:
-        return Transition(Step.AIRBORNE)  # a pilot flew it up and handed it over
+    if now.armed and now.landed is False and now.height_m >= LIFTED_M:
+        # A pilot flew it up and handed it over. A flight controller whose motors turn on the ground may say that it
+        # has not landed: its height must say so too, or the formation would begin with a vehicle that stands.
+        return Transition(Step.AIRBORNE)
     return Transition(Step.ARMED) if now.armed and flight.allow_arming else None
 
 

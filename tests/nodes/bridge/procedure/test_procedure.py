@@ -1,22 +1,13 @@
-"""The procedure from the heartbeat to the landing, with its companions and orders: a vehicle of a few lines."""
-
-from dataclasses import replace
+"""The procedure from the heartbeat to the take-off, and the orders of the operator: a vehicle of a few lines."""
 
 import pytest
 
 pytest.importorskip("pymavlink")
 
-from procedure_flight import DT, Flight
+from procedure_flight import Flight
 
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
-from ptnsbc_nodes.bridge.procedure.steps import (
-    AWAY_S,
-    LAND_S,
-    STOP_S,
-    CommandRequest,
-    Step,
-    Stream,
-)
+from ptnsbc_nodes.bridge.procedure.steps import LIFTED_M, CommandRequest, Step, Stream
 
 
 def test_the_formation_waits_until_the_vehicle_has_turned():
@@ -78,6 +69,17 @@ def test_nothing_is_armed_without_permission():
     flight.run(until=Step.AIRBORNE, landed=False, height_m=5.0)
     flight.run(1.0)
     assert flight.history[-1][2].stream is Stream.HOLD
+
+
+def test_an_armed_vehicle_on_the_ground_is_not_airborne_whatever_its_controller_says():
+    by_hand = Flight(allow_arming=False).run(until=Step.ARM)
+    by_hand.run(20.0, armed=True, landed=False, height_m=0.1)
+    assert by_hand.step is Step.ARM
+    assert not by_hand.procedure.ready
+    by_hand.run(until=Step.AIRBORNE, height_m=LIFTED_M)
+    flight = Flight().run(until=Step.READY, not_ready="bridge2")
+    flight.run(until=Step.ARMED, not_armed="bridge2", armed=True, landed=False)
+    flight.run(until=Step.TAKEOFF, not_armed="")
 
 
 def test_a_vehicle_that_a_pilot_flies_keeps_its_mode():
@@ -325,297 +327,3 @@ def test_a_pilot_who_takes_over_before_take_off_has_the_vehicle():
     flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
     flight.obeys = False
     flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
-
-
-def test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe():
-    flight = Flight().flying()
-    stopped = flight.snapshot.now_s
-    age = 0.05
-    while age < 2.0:  # setpoints age from now on
-        age += DT
-        flight.run(DT, controller_age_s=age)
-    held = [t for t, _, output in flight.history if t >= stopped and output.stream is Stream.HOLD]
-    silent = [t for t, _, o in flight.history if t >= stopped and o.stream is Stream.NONE]
-    assert 0.1 < max(held) - min(held) < 0.5
-    assert silent[0] - stopped <= 0.6
-    assert flight.streams(silent[0]) == {Stream.NONE}
-    assert flight.step is Step.FAILSAFE
-    assert flight.requested(stopped) == []
-
-
-def test_after_a_failsafe_hold_px4_comes_back_by_itself():
-    flight = Flight().flying()
-    flight.run(3.0, controller_age_s=1.0)
-    flight.run(1.0, mode=FlightMode.HOLD)
-    back = flight.snapshot.now_s
-    flight.run(0.9, controller_age_s=0.05)
-    assert flight.streams(back) == {Stream.NONE}
-    flight.run(0.5)
-    assert flight.history[-1][2].stream is Stream.HOLD
-    flight.run(0.5, mode=FlightMode.OWN)
-    assert flight.step is Step.FLY
-    # one late HEARTBEAT of the failsafe is no pilot
-    flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
-    assert flight.step is Step.FLY
-    assert flight.procedure.fault == "no setpoints: the controller is silent"
-    assert flight.requested(back) == []
-
-
-def test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller():
-    flight = Flight().flying()
-    stopped = flight.history[-1][0]
-    flight.snapshot = replace(flight.snapshot, now_s=stopped + 1.5)
-    flight.run(0.5, mode=FlightMode.HOLD)  # no pilot: the failsafe of the vehicle has acted
-    assert flight.step is Step.FAILSAFE
-    assert flight.procedure.fault == "no setpoints: this bridge stood still for 1.5 s"
-    flight.run(0.7).run(1.0, mode=FlightMode.OWN)
-    assert flight.step is Step.FLY
-    assert flight.requested(stopped) == []
-
-
-def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
-    flight = Flight().flying()
-    flight.run(3.0, controller_age_s=1.0)
-    flight.run(30.0, mode=FlightMode.HOLD, controller_age_s=0.05)
-    assert flight.step is Step.YIELDED
-    assert flight.history[-1][2].stream is Stream.NONE
-
-
-def test_a_failsafe_that_only_waits_ends_with_a_landing():
-    flight = Flight(ARDUPILOT).flying()
-    stopped = flight.snapshot.now_s
-    flight.run(until=Step.LAND, controller_age_s=1.0)
-    assert flight.snapshot.now_s - stopped == pytest.approx(LAND_S, abs=3 * DT)
-    flight.run(until=Step.DONE)
-    assert "landed after 10 s without setpoints" in flight.procedure.fault
-
-
-def test_a_silent_vehicle_is_not_landed_by_a_mode_it_had_once():
-    flight = Flight(ARDUPILOT).flying()
-    flight.run(30.0, controller_age_s=1.0, heartbeat_age_s=4.0, state_fault="vehicle silent")
-    assert flight.step is Step.FAILSAFE
-    assert CommandRequest.LAND not in {output.command for _, _, output in flight.history}
-
-
-def test_a_failsafe_that_lands_is_left_alone():
-    flight = Flight().flying()
-    flight.obeys = False
-    flight.run(1.0, controller_age_s=1.0)
-    flight.run(5.0, mode=FlightMode.LAND)
-    flight.run(5.0, controller_age_s=0.05)
-    assert flight.step is Step.YIELDED
-    flight.run(until=Step.FAILED, armed=False)
-    assert "no setpoints: the controller is silent" in flight.procedure.fault
-
-
-@pytest.mark.parametrize(
-    "mode", [FlightMode.OTHER, FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND]
-)
-def test_the_pilot_takes_over_and_the_bridge_yields(mode):
-    flight = Flight().flying()
-    flight.obeys = False
-    taken = flight.snapshot.now_s
-    flight.run(60.0, mode=mode, mode_name="3", leg="form")
-    assert flight.step is Step.YIELDED
-    assert "the pilot took over: mode 3" in flight.procedure.fault
-    assert flight.streams(taken + DT) == {Stream.NONE}
-    assert flight.requested(taken) == []
-    assert not flight.history[-1][2].in_formation
-    # even the operator's landing is the pilot's to fly now
-    flight.run(5.0, leg="land", stop_request="land")
-    assert flight.requested(taken) == []
-    # and switching back does not hand it over again unseen
-    flight.run(5.0, mode=FlightMode.OWN)
-    assert flight.streams(taken + DT) == {Stream.NONE}
-
-
-def test_the_pilot_takes_over_before_arming():
-    flight = Flight()
-    flight.ignored = {CommandRequest.ARM}
-    flight.run(until=Step.ARM).run(until=Step.FAILED, mode=FlightMode.OTHER)
-    assert "before arming" in flight.procedure.fault
-
-
-@pytest.mark.parametrize(
-    "change", [{"battery_low": "battery at 15 %"}, {"fence_breach": "outside the geofence"}]
-)
-def test_low_battery_and_fence_land_this_vehicle_alone(change):
-    flight = Flight().flying().run(until=Step.LAND, **change)
-    assert not flight.history[-1][2].in_formation  # the others must not follow it down
-    flight.run(until=Step.DONE)
-    assert flight.procedure.fault == next(iter(change.values()))
-
-
-def test_gps_lost():
-    flight = Flight().flying()
-    flight.run(until=Step.FAILSAFE, state_fault="GPS fix lost", controller_age_s=0.6)
-    assert flight.procedure.fault == "no setpoints: GPS fix lost"
-    assert flight.history[-1][2].stream is Stream.NONE
-
-
-def test_heartbeat_lost_and_found():
-    flight = Flight().flying()
-    flight.run(5.0, heartbeat_age_s=4.0, state_fault="vehicle silent", controller_age_s=4.0)
-    assert flight.step is Step.FAILSAFE
-    flight.run(until=Step.FLY, heartbeat_age_s=0.1, controller_age_s=0.05)
-
-
-def test_rebooted_in_flight():
-    flight = Flight().flying().run(until=Step.FAILED, rebooted=True, armed=False)
-    assert flight.procedure.fault == "the vehicle rebooted in flight"
-    gone = flight.snapshot.now_s
-    flight.run(60.0, rebooted=False)
-    assert flight.requested(gone - DT) == []  # it is not armed again
-
-
-def test_disarmed_in_flight():
-    flight = Flight().flying().run(until=Step.FAILED, armed=False)
-    assert flight.procedure.fault == "disarmed in flight"
-
-
-def test_a_duplicate_sysid_in_flight_changes_nothing():
-    flight = Flight().flying().run(5.0, duplicate_sysid=True)
-    assert flight.step is Step.FLY
-
-
-def test_setpoints_go_on_until_the_landing_is_confirmed():
-    flight = Flight().flying()
-    flight.ignored = {CommandRequest.LAND}
-    began = flight.snapshot.now_s
-    flight.run(3.0, leg="land")
-    assert flight.streams(began) == {Stream.HOLD}
-    assert flight.requested(began).count(CommandRequest.LAND) == 3
-    flight.run(1.0, mode=FlightMode.LAND)
-    assert flight.history[-1][2].stream is Stream.NONE
-    # a pilot may still take it out of the landing
-    flight.obeys = False
-    flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
-
-
-def test_a_vehicle_that_stays_armed_on_the_ground_is_disarmed():
-    flight = Flight().flying()
-    flight.obeys = False
-    flight.run(0.1, leg="land").run(4.0, mode=FlightMode.LAND, landed=True, height_m=0.0)
-    assert CommandRequest.DISARM not in flight.requested()
-    flight.run(3.0)
-    assert CommandRequest.DISARM in flight.requested()
-
-
-def test_no_stream_outlives_stale_setpoints_in_any_step():
-    flight = Flight().flying().run(10.0, controller_age_s=STOP_S + 0.01)
-    assert flight.history[-1][2].stream is Stream.NONE
-    flight = Flight().run(until=Step.AIRBORNE).run(10.0, controller_age_s=STOP_S + 0.01)
-    assert flight.history[-1][2].stream is Stream.NONE
-
-
-def test_a_formation_that_is_given_up_holds_apart_and_then_lands_from_below():
-    flight = Flight().flying().run(until=Step.APART, hazard="0.11 m from another vehicle")
-    assert flight.history[-1][2] == (Stream.APART, None, False)
-    assert flight.procedure.fault == "formation given up: 0.11 m from another vehicle"
-    flight.run(10.0)
-    assert flight.step is Step.APART
-    flight.run(10.0, apart=True, below="a vehicle below")
-    assert flight.step is Step.APART
-    flight.run(until=Step.LAND, below="").run(until=Step.DONE)
-
-
-def test_holding_apart_ends_also_when_the_layer_is_never_reached():
-    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
-    flight.run(until=Step.LAND)
-    assert "holding apart by height: not within 60 s" in flight.procedure.fault
-
-
-@pytest.mark.parametrize(
-    ("change", "step"),
-    [
-        ({"stop_request": "land"}, Step.LAND),
-        ({"leg": "land"}, Step.LAND),
-        ({"state_fault": "GPS fix lost"}, Step.LAND),
-        ({"battery_low": "battery at 9 %"}, Step.LAND),
-        ({"mode": FlightMode.OTHER}, Step.YIELDED),
-        ({"armed": False}, Step.FAILED),
-    ],
-)
-def test_what_ends_holding_apart_early(change, step):
-    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
-    flight.obeys = False
-    flight.run(until=step, **change)
-
-
-def test_holding_apart_needs_no_controller():
-    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
-    flight.run(5.0, controller_age_s=99.0)
-    assert flight.step is Step.APART
-
-
-def test_a_formation_given_up_during_the_take_off_lands_at_once():
-    flight = Flight()
-    flight.obeys = False
-    flight.run(5.0, mode=FlightMode.OWN).run(until=Step.TAKEOFF, armed=True)
-    flight.run(until=Step.LAND, hazard="told by another bridge")
-
-
-def test_where_uavs_come_and_go_a_vehicle_is_held_until_its_controller_is_back():
-    flight = Flight(away_s=AWAY_S).flying()
-    left = flight.snapshot.now_s
-    flight.run(until=Step.HELD, controller_age_s=STOP_S + DT).run(20.0)
-    assert flight.streams(left + DT) == {Stream.HOLD}
-    assert flight.history[-1][2].in_formation  # its process needs its odometry to go on
-    flight.run(until=Step.FLY, controller_age_s=0.05).run(1.0)
-    assert flight.history[-1][2].stream is Stream.PLANNER
-    assert (flight.procedure.fault, flight.requested(left)) == ("", [])
-
-
-def test_a_vehicle_is_not_held_for_a_controller_that_stays_away():
-    flight = Flight(away_s=AWAY_S).flying()
-    flight.run(until=Step.HELD, controller_age_s=1.0)
-    held = flight.snapshot.now_s
-    flight.run(until=Step.LAND)
-    assert flight.snapshot.now_s - held == pytest.approx(AWAY_S, abs=3 * DT)
-    assert flight.procedure.fault == "landed after 30 s without its controller"
-    flight.run(until=Step.DONE)
-
-
-@pytest.mark.parametrize(
-    ("change", "step"),
-    [
-        ({"mode": FlightMode.OTHER}, Step.YIELDED),
-        ({"mode": FlightMode.HOLD}, Step.YIELDED),  # a pilot: no failsafe acts while it is held
-        ({"state_fault": "GPS fix lost"}, Step.FAILSAFE),
-        ({"battery_low": "battery at 10 %"}, Step.LAND),
-        ({"hazard": "told by another bridge"}, Step.APART),
-        ({"leg": "land"}, Step.LAND),
-        ({"armed": False}, Step.FAILED),
-    ],
-)
-def test_a_vehicle_that_is_held_answers_as_in_formation(change, step):
-    flight = Flight(away_s=AWAY_S).flying().run(until=Step.HELD, controller_age_s=1.0)
-    flight.run(1.0)
-    flight.obeys = False
-    flight.run(2 * DT, **change)
-    assert flight.step is step
-
-
-def test_a_bridge_that_stood_still_cannot_have_held_its_vehicle():
-    flight = Flight(away_s=AWAY_S).flying()
-    flight.snapshot = replace(flight.snapshot, now_s=flight.history[-1][0] + 1.5)
-    flight.run(0.2, mode=FlightMode.HOLD)
-    assert flight.step is Step.FAILSAFE
-
-
-def test_one_that_leaves_goes_down_by_its_controller_until_nobody_is_below():
-    flight = Flight().flying()
-    left = flight.snapshot.now_s
-    flight.run(3.0, leg="land", leaves=True, below="a vehicle below")
-    assert flight.step is Step.FLY
-    assert flight.streams(left) == {Stream.PLANNER}
-    flight.run(until=Step.LAND, below="")
-    assert flight.history[-1][2].in_formation
-    flight.run(until=Step.DONE)
-    assert flight.procedure.fault == ""
-
-
-def test_when_all_land_nobody_waits_for_a_vehicle_below():
-    flight = Flight().flying()
-    flight.run(2 * DT, leg="land", below="a vehicle below")
-    assert flight.step is Step.LAND
