@@ -1,4 +1,4 @@
-"""What a killed, cut or damaged recording comes back as, and spans of a bag."""
+"""A repair rescues what is readable of a killed, cut or damaged recording; a trim writes a span of a bag."""
 
 from __future__ import annotations
 
