@@ -372,7 +372,9 @@ ANSWERS = (
         _STOP,
         "yields for good: no setpoint, no command",
         _NEVER,
-        (f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_the_pilot_takes_over_and_the_bridge_yields",),
+        (
+            f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_the_pilot_takes_over_and_the_bridge_yields",
+        ),
     ),
     FaultAnswer(
         "a vehicle refuses to arm, or its bridge gives up before the flight",

@@ -4,7 +4,6 @@ from ptnsbc_io.wire.cdr import Stamped, WireError
 from ptnsbc_io.wire.messages import (
     MOST_NEAR_OBJECTS,
     ODOMETRY_SIZE,
-    ClockTemplate,
     Diagnostics,
     DiagnosticStatus,
     HeaderFields,
@@ -26,6 +25,7 @@ from ptnsbc_io.wire.messages import (
     decode_odometry,
     decode_velocity,
     decode_wrench,
+    encode_clock,
     peek_sequence_stamp,
     peek_stamp,
     transform_of,
@@ -33,10 +33,10 @@ from ptnsbc_io.wire.messages import (
 from ptnsbc_io.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
 
 __all__ = [
-    "MOST_NEAR_OBJECTS", "NEAR_FIELDS", "ODOMETRY_SIZE", "ClockTemplate", "DiagnosticStatus", "Diagnostics",
+    "MOST_NEAR_OBJECTS", "NEAR_FIELDS", "ODOMETRY_SIZE", "DiagnosticStatus", "Diagnostics",
     "HeaderFields", "HeaderTemplate", "OdometryDecoder", "OdometryTemplate", "Row", "RowTemplate", "Stamped",
     "VelocityTemplate", "WireError", "WrenchTemplate", "checked_near", "checked_velocity", "checked_wrench",
     "decode_clock", "decode_diagnostics", "decode_floats", "decode_header", "decode_integers", "decode_near",
-    "decode_odometry", "decode_velocity", "decode_wrench", "encode_near", "peek_sequence_stamp", "peek_stamp",
-    "transform_of",
+    "decode_odometry", "decode_velocity", "decode_wrench", "encode_clock", "encode_near", "peek_sequence_stamp",
+    "peek_stamp", "transform_of",
 ]  # fmt: skip

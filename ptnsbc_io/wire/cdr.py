@@ -26,9 +26,8 @@ NANOSECONDS = 1_000_000_000
 
 _BODY = 4  # the encapsulation header; alignment starts after it
 _BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
-_STRING_LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
 _LITTLE_FLOAT64 = np.dtype("<f8")
-_TIME = {"<": struct.Struct("<iI"), ">": struct.Struct(">iI")}
+_TIME = struct.Struct("<iI")
 
 _Writer = Callable[[bytearray, Any], None]
 _PRIMITIVES = {
@@ -73,12 +72,6 @@ def align(offset: int, size: int) -> int:
     return ((offset - _BODY + size - 1) & -size) + _BODY
 
 
-def require(buf: bytes, size: int, what: str) -> None:
-    """Raise WireError when `buf` holds fewer than `size` bytes."""
-    if len(buf) < size:
-        raise WireError(f"{what}: {len(buf)} bytes: expected at least {size}, the message is cut")
-
-
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of builtin_interfaces/Time; its seconds are 32 bits wide."""
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
@@ -87,41 +80,57 @@ def split_stamp(stamp_ns: int) -> tuple[int, int]:
     return seconds, nanoseconds
 
 
-def read_stamp(buf: bytes, order: str, offset: int, what: str) -> int:
-    """The builtin_interfaces/Time at `offset` [ns]."""
-    if len(buf) < offset + 8:
-        require(buf, offset + 8, what)
-    seconds, nanoseconds = _TIME[order].unpack_from(buf, offset)
-    return int(seconds * NANOSECONDS + nanoseconds)
-
-
-def write_stamp(buffer: bytearray, stamp_ns: int, offset: int = _BODY) -> None:
-    """Patch the builtin_interfaces/Time at `offset` of a little-endian message."""
-    buffer[offset : offset + 8] = stamp_bytes(stamp_ns)
-
-
 @lru_cache(maxsize=8)  # the messages of one tick have the same stamp
 def stamp_bytes(stamp_ns: int) -> bytes:
     """The builtin_interfaces/Time of a little-endian message."""
-    return _TIME["<"].pack(*split_stamp(stamp_ns))
+    return _TIME.pack(*split_stamp(stamp_ns))
 
 
-def skip_string(buf: bytes, order: str, offset: int, what: str) -> int:
-    """The offset after the string whose length field is at the aligned `offset`."""
-    start = offset + 4
-    require(buf, start, what)
-    end = start + int(_STRING_LENGTH[order].unpack_from(buf, offset)[0])
-    require(buf, end, what)
-    return end
+class Reader:
+    """Reads the fields of a message one after the other; WireError where they end too early."""
+
+    def __init__(self, buf: bytes, what: str) -> None:
+        """`what`: type of the message, for errors."""
+        self._buf, self._what = buf, what
+        self.order = byte_order(buf, what)
+        """`<` or `>`, as struct writes it."""
+        self.at = _BODY
+
+    def take(self, size: int, alignment: int = 1) -> bytes:
+        """The next `size` bytes, which begin at a multiple of `alignment`."""
+        start = align(self.at, alignment)
+        self.at = start + size
+        if len(self._buf) < self.at:
+            raise WireError(
+                f"{self._what}: {len(self._buf)} bytes: expected at least {self.at}, the message is cut"
+            )
+        return self._buf[start : self.at]
+
+    def numbers(self, letters: str, alignment: int = 4) -> tuple[Any, ...]:
+        """Numbers in the letters of struct."""
+        layout = _layout(self.order + letters)
+        return layout.unpack(self.take(layout.size, alignment))
+
+    def stamp(self) -> int:
+        """A builtin_interfaces/Time [ns]."""
+        seconds, nanoseconds = self.numbers("iI")
+        return int(seconds * NANOSECONDS + nanoseconds)
+
+    def skip_text(self) -> bytes:
+        """The bytes of a string."""
+        return self.take(*self.numbers("I"))
+
+    def text(self) -> str:
+        """A string."""
+        try:
+            return bytes(self.skip_text()).rstrip(b"\0").decode()
+        except UnicodeDecodeError:
+            raise WireError(
+                f"{self._what}: a string before byte {self.at}: expected UTF-8"
+            ) from None
 
 
-def string_at(buf: bytes, order: str, offset: int, what: str) -> str:
-    """The string whose length field is at the aligned `offset`."""
-    end = skip_string(buf, order, offset, what)
-    try:
-        return bytes(buf[offset + 4 : end]).rstrip(b"\0").decode()
-    except UnicodeDecodeError:
-        raise WireError(f"{what}: string at byte {offset}: expected UTF-8") from None
+_layout = lru_cache(maxsize=64)(struct.Struct)
 
 
 def encode_string(text: str) -> bytes:
@@ -172,6 +181,7 @@ def _message(out: bytearray, message: Any) -> None:
 
 @lru_cache(maxsize=64)
 def _plan(kind: Any) -> tuple[tuple[str, _Writer], ...]:
+    """The fields of a class of rclpy, and what writes each."""
     fields: dict[str, str] = kind.get_fields_and_field_types()
     return tuple((name, _writer(text)) for name, text in fields.items())
 
@@ -185,7 +195,7 @@ def _writer(kind: str) -> _Writer:
         return _number(struct.Struct(_PRIMITIVES[kind]))
     if kind.startswith("string"):
         return _text
-    return _octet if kind == "octet" else _message
+    return bytearray.extend if kind == "octet" else _message
 
 
 def _items(write: _Writer, counted: bool) -> _Writer:
@@ -210,7 +220,3 @@ def _number(layout: struct.Struct) -> _Writer:
 def _text(out: bytearray, value: str) -> None:
     pad(out, 4)
     out += encode_string(value)
-
-
-def _octet(out: bytearray, value: bytes) -> None:
-    out += value

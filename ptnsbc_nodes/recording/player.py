@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
-from ptnsbc_io.wire import ClockTemplate
+from ptnsbc_io.wire import encode_clock
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import wait_for_readers
 from ptnsbc_nodes.comm.qos import keep_last
@@ -108,7 +108,6 @@ class _Player:
         self._clock = None
         if options.clock_hz is not None:
             self._clock = node.create_publisher(topics.message_class(CLOCK), CLOCK.name, 10)
-        self._template = ClockTemplate()
 
     def wait(self) -> None:
         """Wait until every topic has a reader, for `wait_s` at most."""
@@ -158,7 +157,7 @@ class _Player:
             if message.stamp_ns < self._start_ns:
                 continue
             while period_ns is not None and next_ns <= message.stamp_ns:
-                yield BagMessage("", next_ns, self._template.encode(next_ns))
+                yield BagMessage("", next_ns, encode_clock(next_ns))
                 next_ns += period_ns
             yield message
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from ptnsbc_core.types import Array
-from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, Stamped, encode_near
+from ptnsbc_io.wire import OdometryTemplate, Stamped, encode_clock, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
 from ptnsbc_nodes.comm.drawing import Scene
@@ -41,7 +41,6 @@ class SimPublishers:
         self._scene_every = status_every(scenario)
         self._calls = 0
         self._scene = Scene(scenario, world)
-        self._clock_template = ClockTemplate()
         ids, recorders = world.ids, edges.options.recorders
         self._odometry_templates = {
             i: OdometryTemplate(WORLD_FRAME, body_frame(i, endpoints.fleet)) for i in ids
@@ -85,7 +84,7 @@ class SimPublishers:
 
     def clock(self, stamp_ns: int) -> None:
         """Publish the time."""
-        self._send_clock(self._clock_template.encode(stamp_ns))
+        self._send_clock(encode_clock(stamp_ns))
 
     def markers(self, stamp_ns: int) -> None:
         """Publish markers for viewers."""

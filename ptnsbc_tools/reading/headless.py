@@ -12,7 +12,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.writer import check_replaceable
-from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
+from ptnsbc_io.wire import HeaderTemplate, Stamped, encode_clock, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, Transforms
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
@@ -150,13 +150,12 @@ def _as_received(data: bytes) -> bytes:
 
 def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
     """Stamp [ns] and sorted messages of every tick."""
-    clock = ClockTemplate()
     uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
     status = _StatusMessages(flight)
     transforms = Transforms(flight.scenario.uav_ids)
     for tick, stamp in enumerate(flight.t_ns):
         stamp_ns = int(stamp)
-        found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
+        found: list[Message] = [(topics.CLOCK.name, encode_clock(stamp_ns))]
         if tick == 0:
             found.append((topics.EPOCH.name, HeaderTemplate(FORMATION).encode(stamp_ns)))
             if flight.slots:

@@ -40,7 +40,7 @@ def write_all(writer: BagWriter) -> None:
         writer.write("/uav1/near", stamp, wire.encode_near(stamp, "map", np.ones((k % 3, 7))))
         writer.write("/uav1/setpoint/velocity", stamp, velocity.encode(stamp, np.full(6, k)))
         writer.write("/uav1/setpoint/wrench", stamp, wrench.encode(stamp, np.full(6, k)), stamp - 7)
-        writer.write("/clock", stamp, wire.ClockTemplate().encode(stamp))
+        writer.write("/clock", stamp, wire.encode_clock(stamp))
 
 
 def write_bag(path: Path, **options) -> Path:
@@ -253,7 +253,7 @@ def test_flush_if_due(tmp_path):
 def test_flush(tmp_path):
     with BagWriter(tmp_path / "flight", TOPICS) as writer:
         writer.flush()  # nothing yet
-        writer.write("/clock", 7, wire.ClockTemplate().encode(7))
+        writer.write("/clock", 7, wire.encode_clock(7))
         writer.flush()
         kept = read_bag(tmp_path / "flight.part", salvage=True)
         assert [message.stamp_ns for message in kept.messages()] == [7]
@@ -262,14 +262,13 @@ def test_flush(tmp_path):
 
 def test_a_recording_killed_soon_after_its_start_has_what_came_before_half_its_age(tmp_path):
     """After k steps of 10 ms at least k/2 are on the disk; chunks grow to half a second and no further."""
-    clock = wire.ClockTemplate()
     writer = BagWriter(tmp_path / "flight", TOPICS)
     writer.open()
     file = tmp_path / "flight.part" / "flight_0.mcap"
     kept, flushes, size = [], [], file.stat().st_size
     for k in range(201):
         stamp_ns = 10_000_000 * k
-        writer.write("/clock", stamp_ns, clock.encode(stamp_ns))
+        writer.write("/clock", stamp_ns, wire.encode_clock(stamp_ns))
         writer.flush_if_due(stamp_ns * 1e-9)
         if file.stat().st_size > size:
             size = file.stat().st_size

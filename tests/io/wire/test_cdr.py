@@ -31,7 +31,7 @@ def samples():
         six,
         near,
         wire.HeaderTemplate("leg 1").encode(3),
-        wire.ClockTemplate().encode(3),
+        wire.encode_clock(3),
         foreign_near(),
     ]
 

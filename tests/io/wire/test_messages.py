@@ -99,7 +99,7 @@ def test_header_as_rclpy(ros, stamp, frame):
 def test_clock_as_rclpy(ros, stamp):
     from rosgraph_msgs.msg import Clock
 
-    ours = wire.ClockTemplate().encode(stamp)
+    ours = wire.encode_clock(stamp)
     assert ours == ros.serialize_message(Clock(clock=ros_time(stamp)))
     assert wire.decode_clock(ours) == stamp
 

@@ -43,7 +43,7 @@ def messages(ticks: int) -> dict[topics.Topic, list[bytes]]:
         topics.odom(1): [ODOM.encode(s, np.full(13, s)) for s in stamps],
         topics.near(1): [wire.encode_near(s, "map", np.ones((2, 7))) for s in stamps],
         topics.velocity_setpoint(1): [VELOCITY.encode(s, np.ones(6)) for s in stamps],
-        topics.CLOCK: [wire.ClockTemplate().encode(s) for s in stamps],
+        topics.CLOCK: [wire.encode_clock(s) for s in stamps],
         topics.EPOCH: [wire.HeaderTemplate("leg 1").encode(3 * TICK_NS)],
     }
 
@@ -264,7 +264,7 @@ def test_quality_of_service_is_that_of_the_publishers():
 
 def test_stamps():
     assert stamp_of(topics.odom(1), ODOM.encode(5, np.ones(13))) == 5
-    assert stamp_of(topics.CLOCK, wire.ClockTemplate().encode(6)) == 6
+    assert stamp_of(topics.CLOCK, wire.encode_clock(6)) == 6
     assert stamp_of(topics.MARKERS, b"\0\1\0\0" + bytes(4)) is None
     tf = b"\0\1\0\0\1\0\0\0" + wire.HeaderTemplate("map").encode(7)[4:]
     assert stamp_of(topics.TF, tf) == 7
