@@ -10,6 +10,8 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
+from mcap.writer import CompressionType
+
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
@@ -96,7 +98,7 @@ class Bags:
         self._scenario = sample.attachment("scenario.yaml")
         self._topics = [TopicInfo(one.name, one.type) for one in sample.topics.values()]
         self._messages = [one for one in sample.messages() if one.stamp_ns <= _SAMPLE_NS]
-        self.sound = [self._written(self._messages, one) for one in ("zstd", "lz4", "none")]
+        self.sound = [self._written(self._messages, one) for one in CompressionType]
 
     def make(self, chance: random.Random) -> bytes:
         """A mutation."""
@@ -107,10 +109,13 @@ class Bags:
             for one in self._messages
         ]
         scenario = mutated_text(self._scenario, chance) if chance.random() < 0.3 else None
-        return self._written(changed, "none", scenario)
+        return self._written(changed, CompressionType.NONE, scenario)
 
     def _written(
-        self, messages: Sequence[BagMessage], compression: str, scenario: bytes | None = None
+        self,
+        messages: Sequence[BagMessage],
+        compression: CompressionType,
+        scenario: bytes | None = None,
     ) -> bytes:
         goal = self._folder / "made"
         attached = {"scenario.yaml": scenario or self._scenario}

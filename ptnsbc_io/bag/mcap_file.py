@@ -13,14 +13,14 @@ import re
 import struct
 import zlib
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeAlias, TypeVar
+from typing import IO, Any, NamedTuple, TypeAlias
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -33,7 +33,6 @@ from mcap.records import (
     ChunkIndex,
     Message,
     Metadata,
-    MetadataIndex,
     Schema,
 )
 from mcap.stream_reader import StreamReader
@@ -161,57 +160,34 @@ def _decompressed(chunk: Chunk) -> bytes:
     return data
 
 
-def chunk_records(data: bytes) -> Iterator[Schema | Channel | MessageRecord]:
-    """The schemas, channels and messages of a decompressed chunk, in the order of the file."""
-    at = messages = 0
-    while at < len(data):
-        end = _record_end(data, at)
-        opcode = data[at]
-        if opcode == Opcode.MESSAGE:
-            if end - at < _MESSAGE.size:
-                raise ValueError("length of a message")
-            messages += 1
-            if messages > MOST_MESSAGES:
-                raise ValueError(_CROWDED)
-            _, _, channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
-            if log_ns > LAST_NS:
-                raise ValueError("time of a message")
-            body = data[at + _MESSAGE.size : end]
-            yield MessageRecord(channel_id, sequence, log_ns, publish_ns, body)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            body = data[at + RECORD_HEAD.size : end]
-            yield _RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(body)))
-        at = end
+def chunk_records(
+    data: bytes, channels: Container[int] | None = None
+) -> Iterator[Schema | Channel | MessageRecord]:
+    """The schemas, channels and messages of a decompressed chunk, in the order of the file.
 
-
-def chunk_messages(data: bytes, topics: Mapping[int, str]) -> list[BagMessage]:
-    """The messages of some channels in a decompressed chunk, in order of log time.
-
-    Messages of equal time stay in the order of the file. This is the fast path of reading: it makes
-    no object for a message of another channel.
-
-    Args:
-        data: decompressed chunk.
-        topics: topic by channel id.
+    With `channels` only their messages: no object is made for another record.
     """
-    found = []
-    at, end = 0, len(data)
-    while at < end:
-        if data[at] != Opcode.MESSAGE or end - at < _MESSAGE.size:
-            at = _record_end(data, at)
+    at, messages, size = 0, 0, len(data)
+    while at < size:
+        if data[at] == Opcode.MESSAGE and size - at >= _MESSAGE.size:
+            _, length, channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
+            start, at = at + _MESSAGE.size, at + RECORD_HEAD.size + length
+            if not start <= at <= size:
+                raise ValueError("length of a message")
+            if channels is None or channel_id in channels:
+                messages += 1
+                if messages > MOST_MESSAGES:
+                    raise ValueError(_CROWDED)
+                if log_ns > LAST_NS:
+                    raise ValueError("time of a message")
+                yield MessageRecord(channel_id, sequence, log_ns, publish_ns, data[start:at])
             continue
-        _, length, channel_id, _, log_ns, _ = _MESSAGE.unpack_from(data, at)
-        start, at = at + _MESSAGE.size, at + RECORD_HEAD.size + length
-        if not start <= at <= end:
+        opcode, start = data[at], at + RECORD_HEAD.size
+        at = _record_end(data, at)
+        if opcode == Opcode.MESSAGE:
             raise ValueError("length of a message")
-        if channel_id in topics:
-            found.append(BagMessage(topics[channel_id], log_ns, data[start:at]))
-            if len(found) > MOST_MESSAGES:
-                raise ValueError(_CROWDED)
-    found.sort(key=attrgetter("stamp_ns"))
-    if found and found[-1].stamp_ns > LAST_NS:
-        raise ValueError("time of a message")
-    return found
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and channels is None:
+            yield _RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(data[start:at])))
 
 
 def _record_end(data: bytes, at: int) -> int:
@@ -316,9 +292,6 @@ def _next_chunk(stream: IO[bytes], offset: int) -> int | None:
     return None
 
 
-R = TypeVar("R", Attachment, Metadata)
-
-
 class ChunkLocation(NamedTuple):
     """Place and contents of a chunk; a long bag keeps thousands of these while it is read."""
 
@@ -403,7 +376,13 @@ def read_summary(path: Path) -> Contents | None:
         )
         if statistics.message_count:
             found.span_ns = (statistics.message_start_time, statistics.message_end_time)
-        for record in _metadata(stream, summary.metadata_indexes, size):
+        left = size  # together they cannot be longer than the file
+        for index in summary.metadata_indexes:
+            left -= index.length
+            stream.seek(index.offset)
+            record = next(StreamReader(stream, True, record_size_limit=index.length).records)
+            if left < 0 or not isinstance(record, Metadata):
+                raise ValueError(f"an index of metadata leads to {type(record).__name__}")
             found.add(record)
         return found
 
@@ -429,10 +408,16 @@ def messages_by_time(
         unpacker = Unpacker(stream.seek(0, 2))
 
         def messages(chunk: ChunkLocation) -> list[BagMessage]:
+            """Those of equal time stay in the order of the file."""
             stream.seek(chunk.start + RECORD_HEAD.size)
-            found = chunk_messages(unpacker.unpack(stream.read(chunk.size)), topics)
+            records = chunk_records(unpacker.unpack(stream.read(chunk.size)), topics)
+            found = [
+                BagMessage(topics[record.channel_id], record.log_ns, record.data)
+                for record in records
+                if isinstance(record, MessageRecord)
+            ]
             unpacker.count(len(found))
-            return found
+            return sorted(found, key=_stamp)
 
         if not any(a.last_ns > b.first_ns for a, b in pairwise(chunks)):
             for chunk in chunks:
@@ -475,38 +460,6 @@ def attachments(path: Path) -> Iterator[Attachment]:
         for record in walk(stream, Damage()):
             if isinstance(record, Attachment):
                 yield record
-
-
-def attachment(path: Path, name: str) -> Attachment | None:
-    """An attachment by the summary; DamagedError when it is damaged."""
-    with open_mcap(path) as stream:
-        size = stream.seek(0, 2)
-        stream.seek(0)
-        summary = SeekingReader(stream, record_size_limit=size).get_summary()
-        offsets = (
-            [one.offset for one in summary.attachment_indexes if one.name == name]
-            if summary
-            else []
-        )
-        return _record_at(stream, offsets[0], Attachment, size) if offsets else None
-
-
-def _record_at(stream: IO[bytes], offset: int, kind: type[R], longest: int) -> R:
-    stream.seek(offset)
-    records = StreamReader(stream, skip_magic=True, record_size_limit=longest).records
-    record = next(records)
-    if not isinstance(record, kind):
-        raise ValueError(f"{type(record).__name__}: expected {kind.__name__}")
-    return record
-
-
-def _metadata(stream: IO[bytes], indexes: Iterable[MetadataIndex], size: int) -> Iterator[Metadata]:
-    """The metadata records of a summary; together they cannot be longer than the file."""
-    for index in indexes:
-        size -= index.length
-        if size < 0:
-            raise ValueError("metadata longer than the file")
-        yield _record_at(stream, index.offset, Metadata, index.length)
 
 
 def _check_magic(path: Path, stream: IO[bytes]) -> None:

@@ -63,7 +63,11 @@ def definition(type_name: str) -> Definition:
         seen.add(key)
         text = _msg_text(*key)
         parts.append(f"{_SEPARATOR}\nMSG: {key[0]}/{key[1]}\n{text}" if parts else text)
-        queue.extend(_nested_types(key[0], text))
+        for word in _field_types(text):
+            field_type = re.sub(r"(\[.*\])|(<=\d+)", "", word)
+            if not _PRIMITIVE.fullmatch(field_type):
+                owner, _, nested = field_type.rpartition("/")
+                queue.append((owner.split("/")[0] or key[0], nested))
     return Definition("\n".join(parts), _type_hash(package, name))
 
 
@@ -91,15 +95,6 @@ def _field_types(text: str) -> Iterator[str]:
             yield words[0]
 
 
-def _nested_types(package: str, text: str) -> Iterator[tuple[str, str]]:
-    """The message types that the fields in `text` use, as (package, name)."""
-    for word in _field_types(text):
-        field_type = re.sub(r"(\[.*\])|(<=\d+)", "", word)
-        if not _PRIMITIVE.fullmatch(field_type):
-            owner, _, name = field_type.rpartition("/")
-            yield owner.split("/")[0] or package, name
-
-
 def _share_file(package: str, filename: str) -> Path | None:
     # The wheels set no AMENT_PREFIX_PATH; their share folder is in the prefix of the environment.
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
@@ -108,12 +103,6 @@ def _share_file(package: str, filename: str) -> Path | None:
         if path.is_file():
             return path
     return None
-
-
-@cache
-def _table() -> dict[str, dict[str, str]]:
-    table: dict[str, dict[str, str]] = json.loads(_TABLE_FILE.read_text())
-    return table
 
 
 def _msg_text(package: str, name: str) -> str:
@@ -134,9 +123,10 @@ def _type_hash(package: str, name: str) -> str:
     raise BagError(f"{path}: no hash of {wanted} inside: reinstall {package}")
 
 
-def _from_table(package: str, name: str) -> dict[str, str]:
-    entry = _table().get(f"{package}/msg/{name}")
-    if entry is None:
+@cache
+def _from_table(package: str, name: str) -> Mapping[str, str]:
+    table: dict[str, dict[str, str]] = json.loads(_TABLE_FILE.read_text())
+    if (entry := table.get(f"{package}/msg/{name}")) is None:
         raise BagError(
             f"no definition of {package}/msg/{name}: install the ROS package {package}, "
             "or source its workspace so that AMENT_PREFIX_PATH names it"
@@ -232,11 +222,31 @@ def bag_information(
         "duration": {"nanoseconds": end_ns - start_ns},
         "starting_time": {"nanoseconds_since_epoch": start_ns},
         "message_count": sum(file.messages for file in files),
-        "topics_with_message_count": [_topic_entry(*topic) for topic in topics],
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": topic.message_encoding,
+                    "offered_qos_profiles": [dict(profile) for profile in topic.qos],
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": messages,
+            }
+            for topic, messages in topics
+        ],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],
-        "files": [_file_entry(file) for file in files],
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.messages,
+            }
+            for file in files
+        ],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
@@ -270,28 +280,6 @@ def plain_yaml(text: str) -> Any:
         raise ValueError(f"not YAML: {error}") from None
 
 
-def _file_entry(file: FileSummary) -> dict[str, Any]:
-    return {
-        "path": file.name,
-        "starting_time": {"nanoseconds_since_epoch": file.start_ns},
-        "duration": {"nanoseconds": file.end_ns - file.start_ns},
-        "message_count": file.messages,
-    }
-
-
-def _topic_entry(topic: TopicDeclaration, messages: int) -> dict[str, Any]:
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type,
-            "serialization_format": topic.message_encoding,
-            "offered_qos_profiles": [dict(profile) for profile in topic.qos],
-            "type_description_hash": topic.type_hash,
-        },
-        "message_count": messages,
-    }
-
-
 def to_yaml(value: Any, indent: str = "") -> str:
     """Nested dicts, lists and scalars as block YAML.
 
@@ -299,14 +287,13 @@ def to_yaml(value: Any, indent: str = "") -> str:
     version of a YAML library: equal bags have equal bytes.
     """
     if isinstance(value, dict) and value:
-        return "".join(f"{indent}{key}:{_nested(item, indent)}" for key, item in value.items())
+        parts = []
+        for key, item in value.items():
+            block = isinstance(item, dict | list) and item
+            parts.append(f"{indent}{key}:" + (" " + to_yaml(item) if not block else "\n"))
+            parts.append(to_yaml(item, indent + "  ") if block else "")
+        return "".join(parts)
     if isinstance(value, list) and value:
         lines = (to_yaml(item, indent + "  ") for item in value)
         return "".join(f"{indent}- {line[len(indent) + 2 :]}" for line in lines)
     return f"{indent}{json.dumps(value)}\n"
-
-
-def _nested(item: Any, indent: str) -> str:
-    if isinstance(item, (dict, list)) and item:
-        return "\n" + to_yaml(item, indent + "  ")
-    return " " + to_yaml(item)

@@ -54,26 +54,27 @@ class Bag:
         if unknown:
             known = ", ".join(self.topics)
             raise BagError(f"{self.path}: no topic {', '.join(unknown)}: expected one of {known}")
-        return self._messages(wanted)
 
-    def _messages(self, wanted: frozenset[str] | None) -> Iterator[BagMessage]:
-        for path, contents in self.files:
-            if self.salvage or not contents.chunks:
-                yield from mcap_file.messages_in_file_order(path, wanted, salvage=self.salvage)
-            else:
-                yield from mcap_file.messages_by_time(path, contents, wanted)
+        def messages() -> Iterator[BagMessage]:
+            for path, contents in self.files:
+                if self.salvage or not contents.chunks:
+                    yield from mcap_file.messages_in_file_order(path, wanted, salvage=self.salvage)
+                else:
+                    yield from mcap_file.messages_by_time(path, contents, wanted)
+
+        return messages()
 
     def attachment(self, name: str) -> bytes:
         """The content of the attachment `name`."""
         for path, contents in self.files:
             if name in contents.attachments:
-                if not self.salvage:
-                    found = mcap_file.attachment(path, name)
-                else:
-                    every = mcap_file.attachments(path)
-                    found = next((one for one in every if one.name == name), None)
-                if found is not None:
-                    return bytes(found.data)
+                every = mcap_file.attachments(path)
+                found = next((one for one in every if one.name == name), None)
+                if found is None:
+                    raise DamagedError(
+                        f"{path} is damaged: expected an intact attachment {name}: copy the file again"
+                    )
+                return bytes(found.data)
         known = ", ".join(self.attachments) or "none"
         raise BagError(f"{self.path}: no attachment {name!r}: expected one of {known}")
 
@@ -94,9 +95,15 @@ def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
     metadata: dict[str, str] = {}
     for _, contents in files:
         metadata.update(contents.metadata.get(METADATA_RECORD, {}))
-        for topic in _topics(contents):
-            before = topics[topic.name].messages if topic.name in topics else 0
-            topics[topic.name] = topic._replace(messages=before + topic.messages)
+        for channel in contents.channels.values():
+            name, schema = channel.topic, contents.schemas.get(channel.schema_id)
+            before = topics[name].messages if name in topics else 0
+            topics[name] = BagTopic(
+                name,
+                schema.name if schema else "",
+                before + contents.counts.get(channel.id, 0),
+                channel.metadata.get("offered_qos_profiles", ""),
+            )
     spans = [contents.span_ns for _, contents in files if contents.span_ns]
     if not any(topic.messages for topic in topics.values()):
         raise BagError(f"{files[0][0]} holds no message: did the recorder run while the UAVs did?")
@@ -131,12 +138,8 @@ def mcap_files(path: Path) -> list[Path]:
     if len({_FILE_NUMBER.sub("", file.name) for file in files}) > 1:
         names = ", ".join(sorted(file.name for file in files))
         raise BagError(f"{path}: several .mcap files ({names}): name one of them")
-    return sorted(files, key=_file_number)
-
-
-def _file_number(file: Path) -> int:
-    found = _FILE_NUMBER.search(file.name)
-    return int(found[1]) if found else 0
+    numbers = {file: _FILE_NUMBER.search(file.name) for file in files}
+    return sorted(files, key=lambda file: int(number[1]) if (number := numbers[file]) else 0)
 
 
 def _read_contents(file: Path, salvage: bool) -> Contents:
@@ -158,23 +161,12 @@ def _read_contents(file: Path, salvage: bool) -> Contents:
     return contents
 
 
-def _topics(contents: Contents) -> Iterator[BagTopic]:
-    for channel in contents.channels.values():
-        schema = contents.schemas.get(channel.schema_id)
-        yield BagTopic(
-            channel.topic,
-            schema.name if schema else "",
-            contents.counts.get(channel.id, 0),
-            channel.metadata.get("offered_qos_profiles", ""),
-        )
-
-
 def find_problems(bag: Bag) -> list[str]:
     """Problems of an open bag, none when it is whole; reads all of it with its checksums."""
-    return [*_file_problems(bag), *_metadata_problems(bag)]
+    return list(_problems(bag))
 
 
-def _file_problems(bag: Bag) -> Iterator[str]:
+def _problems(bag: Bag) -> Iterator[str]:
     for path, contents in bag.files:
         if contents.damage.cut:
             yield f"{path.name}: its end is missing"
@@ -187,9 +179,6 @@ def _file_problems(bag: Bag) -> Iterator[str]:
         summarised = sum(contents.counts.values())
         if held != summarised:
             yield f"{path.name}: {held} messages, its summary says {summarised}"
-
-
-def _metadata_problems(bag: Bag) -> Iterator[str]:
     path = bag.path.with_name(METADATA_FILE)
     if not path.is_file():
         yield f"{METADATA_FILE} is missing"

@@ -70,13 +70,22 @@ def repair(
         raise BagError(f"{paths.source}: no message can be read: there is nothing to rescue")
     writer = _writer(paths, files, contents)
     damage = Damage()
-    last_ns = 0
+    done = last_ns = 0
     try:
         with writer:
-            for done, log_ns in enumerate(_copy(writer, files, contents, damage), start=1):
-                last_ns = max(last_ns, log_ns)
-                if done % _PROGRESS_EVERY == 0 or done == total:
-                    advance(done, total)
+            for file, content in zip(files, contents, strict=True):
+                writer.split()
+                with mcap_file.open_mcap(file) as stream:
+                    for record in walk(stream, damage):
+                        if not isinstance(record, MessageRecord):
+                            continue
+                        if record.channel_id not in content.channels:
+                            continue
+                        topic, log_ns = content.channels[record.channel_id].topic, record.log_ns
+                        writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
+                        done, last_ns = done + 1, max(last_ns, log_ns)
+                        if done % _PROGRESS_EVERY == 0 or done == total:
+                            advance(done, total)
         original = _rename(paths, discard)
     except BaseException:
         for leftover in _temporaries(paths.temporary):
@@ -180,42 +189,19 @@ def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
 
 
 def _qos(text: str) -> list[dict[str, Any]]:
-    """The profiles that a channel states; none when it states something else."""
+    """The profiles that a channel states; none when it states anything else than numbers, texts and durations."""
     try:
         profiles = plain_yaml(text)
     except ValueError:
         return []
-    if isinstance(profiles, list) and all(map(_is_profile, profiles)):
-        return profiles
-    return []
-
-
-def _is_profile(value: Any) -> bool:
-    """True if it is a mapping of texts to numbers, texts and durations."""
-    if not isinstance(value, dict):
-        return False
-    parts = [
-        part
-        for one in value.values()
-        for part in (one.values() if isinstance(one, dict) else [one])
-    ]
-    plain = all(isinstance(part, str | int | float) for part in (*value, *parts))
-    return plain and all(abs(part) < 2**64 for part in parts if isinstance(part, int))
-
-
-def _copy(
-    writer: BagWriter, files: list[Path], found: list[Contents], damage: Damage
-) -> Iterator[int]:
-    """Write every readable message; yields the log time of each."""
-    for file, contents in zip(files, found, strict=True):
-        writer.split()
-        with mcap_file.open_mcap(file) as stream:
-            for record in walk(stream, damage):
-                if isinstance(record, MessageRecord) and record.channel_id in contents.channels:
-                    topic = contents.channels[record.channel_id].topic
-                    log_ns = record.log_ns
-                    writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
-                    yield log_ns
+    if not isinstance(profiles, list) or not all(isinstance(one, dict) for one in profiles):
+        return []
+    values = [value for profile in profiles for value in profile.values()]
+    parts = [part for v in values for part in (v.values() if isinstance(v, dict) else [v])]
+    plain = all(isinstance(part, str | int | float) for part in parts)
+    plain = plain and all(isinstance(key, str | int | float) for one in profiles for key in one)
+    fits = all(abs(part) < 2**64 for part in parts if isinstance(part, int))
+    return profiles if plain and fits else []
 
 
 def trim(

@@ -33,11 +33,6 @@ from ptnsbc_io.bag.metadata import (
     to_yaml,
 )
 
-COMPRESSIONS = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
 FLUSH_PERIOD = 0.5  # [s]: with the time to notice and to write, below the promised second
 
 _LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
@@ -229,7 +224,7 @@ class BagWriter:
         topics: Every topic that will be written.
         attachments: Files to carry inside the bag, by name.
         metadata: Key and value pairs of the MCAP metadata record `ptnsbc`.
-        compression: `zstd`, `lz4` or `none`, per chunk.
+        compression: Of the chunks.
         overwrite: Replace an existing bag, once the new one is complete.
         limits: When to go on in another file.
 
@@ -245,13 +240,10 @@ class BagWriter:
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
-        compression: str = "zstd",
+        compression: CompressionType = CompressionType.ZSTD,
         overwrite: bool = False,
         limits: SplitLimits = SplitLimits(),  # noqa: B008 - immutable
     ) -> None:
-        if compression not in COMPRESSIONS:
-            known = ", ".join(COMPRESSIONS)
-            raise BagError(f"compression {compression!r}: expected one of {known}")
         # Absolute, so that `.` has a name and a later chdir changes nothing.
         self.directory = Path(os.path.abspath(directory))
         self.name = self.directory.name
@@ -262,7 +254,7 @@ class BagWriter:
         self._requested = tuple(topics)
         self._topics: tuple[TopicDeclaration, ...] = ()
         self._attachments = dict(attachments or {})
-        self._compression = COMPRESSIONS[compression]
+        self._compression = compression
         self._overwrite = overwrite
         self._limits = limits
         self._numbers: dict[str, int] = {}  # of the topics

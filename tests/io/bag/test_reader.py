@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
@@ -155,7 +156,7 @@ def test_damaged_chunk(tmp_path, content):
 
 def test_crc(tmp_path):
     """Without compression only the checksum can tell."""
-    with BagWriter(tmp_path / "x", TOPICS, compression="none") as writer:
+    with BagWriter(tmp_path / "x", TOPICS, compression=CompressionType.NONE) as writer:
         for k in range(100):
             writer.write("/clock", k, wire.encode_clock(k))
     file = tmp_path / "x" / "x_0.mcap"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from killed_recordings import killed_recordings
+from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
@@ -179,7 +180,11 @@ def test_split_bag_reads_as_one(split):
 
 
 def test_split_by_size(tmp_path):
-    path = write(tmp_path / "flight", compression="none", limits=SplitLimits(size_bytes=1 << 20))
+    path = write(
+        tmp_path / "flight",
+        compression=CompressionType.NONE,
+        limits=SplitLimits(size_bytes=1 << 20),
+    )
     sizes = [p.stat().st_size for p in path.glob("*.mcap")]
     assert len(sizes) > 2
     assert max(sizes) < 3 << 20, "a chunk more than the limit"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
@@ -116,7 +117,7 @@ def test_mcap_records(tmp_path):
         assert {a.log_time for a in reader.iter_attachments()} == {0}
 
 
-@pytest.mark.parametrize("compression", ["zstd", "none", "lz4"])
+@pytest.mark.parametrize("compression", CompressionType)
 def test_same_input_same_bytes(tmp_path, compression):
     first = write_bag(tmp_path / "a" / "flight", compression=compression)
     second = write_bag(tmp_path / "b" / "flight", compression=compression)
@@ -187,7 +188,7 @@ def test_full_disk(tmp_path):
     random = np.random.default_rng(1)
     odom = wire.OdometryTemplate("map", "uav1")
     message = r"flight\.part cannot be written \(File too large\): .* ptnsbc bag repair"
-    writer = BagWriter(tmp_path / "flight", TOPICS, compression="none")
+    writer = BagWriter(tmp_path / "flight", TOPICS, compression=CompressionType.NONE)
     writer.open()
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, before[1]))
@@ -226,11 +227,6 @@ def test_write_into_a_closed_bag(tmp_path):
 def test_wrong_quality_of_service(tmp_path, topic, message):
     with pytest.raises(BagError, match=message):
         BagWriter(tmp_path / "x", [topic]).open()
-
-
-def test_wrong_compression(tmp_path):
-    with pytest.raises(BagError, match="compression 'zip': expected one of zstd, lz4, none"):
-        BagWriter(tmp_path / "x", TOPICS, compression="zip")
 
 
 def test_flush_if_due(tmp_path):

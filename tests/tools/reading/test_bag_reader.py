@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import CompressionType
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagWriter, TopicInfo, read_bag
@@ -38,7 +39,9 @@ def brief(headless, tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("brief") / "x"
     infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
     attachments = {"scenario.yaml": flown.attachment("scenario.yaml")}
-    with BagWriter(path, infos, attachments=attachments, compression="none") as writer:
+    with BagWriter(
+        path, infos, attachments=attachments, compression=CompressionType.NONE
+    ) as writer:
         for message in flown.messages():
             if message.stamp_ns < 80_000_000:
                 writer.write(*message)
