@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm.diagnostics import SafetyState
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.pacing import LIMIT_S
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
-from ptnsbc_nodes.uav.uav_status import ABANDONED_S
+from ptnsbc_nodes.uav.uav_node import ABANDONED_S
 from ptnsbc_sim.counters import STATUS_HZ
 
 HEADLESS, SIM, MAVLINK = "headless", "sim", "mavlink"
@@ -161,7 +161,7 @@ ANSWERS = (
         "children hold",
         f"when it is back; one without a launcher ends {ABANDONED_S:g} s after the sim",
         (
-            "tests/nodes/sim/test_stepping.py::test_a_vehicle_keeps_its_attitude_while_a_process_stands_still",
+            "tests/nodes/sim/test_sim_node.py::test_a_vehicle_keeps_its_attitude_while_a_process_stands_still",
             "tests/nodes/sim/test_sim_node.py::test_real_time_runs_by_the_clock_and_hovers_without_wrenches",
             "tests/nodes/sim/test_sim_node.py::test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again",
         ),

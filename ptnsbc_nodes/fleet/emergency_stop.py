@@ -11,21 +11,23 @@ This module imports no rclpy: an order on this host neither needs the middleware
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-from ptnsbc_io.mavlink.transport import ConnectError, Transport, connect
+from ptnsbc_io.mavlink.transport import ConnectError, connect
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, OrderClient, fleet_bridges, latch
 from ptnsbc_nodes.emergency.records import VehicleRecord, decode_record, records
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 
 _REPEAT_S = 0.05
 _LAUNCHER_PATIENCE_S = 3.0
@@ -37,20 +39,6 @@ _LINK_ID = 1  # of signatures: the bridge signs with 0, and each has its own seq
 _WANTED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT})
 
 
-class RemotePath(Protocol):
-    """The path through the middleware."""
-
-    @property
-    def vehicles(self) -> Mapping[str, VehicleRecord]:
-        """The last report of each bridge, by its name."""
-
-    def send(self, order: Order) -> None:
-        """Publish the order."""
-
-    def spin(self, seconds: float) -> None:
-        """Serve callbacks for a while."""
-
-
 class VehicleOutcome(NamedTuple):
     """The outcome of an order at one vehicle."""
 
@@ -60,24 +48,18 @@ class VehicleOutcome(NamedTuple):
     seconds: float  # until its last answer counted
 
 
+@dataclass
 class _Bridge:
-    """The order at one bridge, and what is known of its vehicle.
+    """The order at one bridge, and what is known of its vehicle."""
 
-    Attributes:
-        local: the record that the bridge keeps on this host: its process, and the way to the vehicle.
-        state: the newest state of the vehicle, from wherever.
-        answered_s: when the bridge first answered this order [s].
-        done_s: when its answer, or the vehicle itself, showed that the vehicle does as it was told [s].
-        direct: the order past the bridge.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.local: VehicleRecord | None = None
-        self.state: VehicleRecord | None = None
-        self.answered_s: float | None = None
-        self.done_s: float | None = None
-        self.direct: DirectOrder | None = None
+    name: str
+    local: VehicleRecord | None = (
+        None  # that the bridge keeps on this host: process, way to the vehicle
+    )
+    state: VehicleRecord | None = None  # the newest of the vehicle, from wherever
+    answered_s: float | None = None  # when the bridge first answered this order
+    done_s: float | None = None  # when it, or the vehicle, showed that the vehicle does as told
+    direct: DirectOrder | None = None  # past the bridge
 
     @property
     def dead(self) -> bool:
@@ -88,7 +70,7 @@ class _Bridge:
 class EmergencyStop:
     """One order to all vehicles of a domain."""
 
-    def __init__(self, folder: Path, order: Order, remote: RemotePath | None = None) -> None:
+    def __init__(self, folder: Path, order: Order, remote: LauncherNode | None = None) -> None:
         self._folder, self._order, self.remote = folder, order, remote
         self._client = OrderClient(folder)
         self._bridges: dict[str, _Bridge] = {}
@@ -190,7 +172,7 @@ class EmergencyStop:
     def _pending(self) -> list[_Bridge]:
         return [self._bridges[name] for name in self.bridges if self._bridges[name].done_s is None]
 
-    def _take_remote(self, remote: RemotePath) -> None:
+    def _take_remote(self, remote: LauncherNode) -> None:
         """States of bridges that have not answered on this host.
 
         Only one that bears this order is an answer, and of a bridge of another host one that is newer than the order:
@@ -283,7 +265,7 @@ def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
     return VehicleOutcome(bridge.name, obeyed, text, seconds)
 
 
-def order_landing(folder: Path, remote: RemotePath) -> list[str]:
+def order_landing(folder: Path, remote: LauncherNode) -> list[str]:
     """Order every bridge to land, for a launcher whose leader does not answer; one line for each that did not obey."""
     operation = EmergencyStop(folder, Order(LAND), remote)
     try:
@@ -300,10 +282,8 @@ class DirectOrder:
     def __init__(self, record: VehicleRecord, order: Order) -> None:
         self.armed: bool | None = None
         """As the vehicle's HEARTBEAT said it; None before the first."""
-        self.lands = False
-        """True if its HEARTBEAT shows that it lands by itself."""
-        self.problem = ""
-        """The reason why the vehicle cannot be reached; empty when it can."""
+        self.lands = False  # by itself, as its HEARTBEAT shows
+        self.problem = ""  # why the vehicle cannot be reached
         self.sent = 0
         self._request = CommandRequest.KILL if order.what == KILL else CommandRequest.LAND
         self._autopilot = AUTOPILOTS[record.autopilot]
@@ -316,10 +296,15 @@ class DirectOrder:
         """The link to the vehicle; None while it cannot be opened, as the port of a bridge that is just ending."""
         record, self.problem = self._record, ""
         try:
-            signer = (
-                Signer(read_key(Path(record.signing_key)), _LINK_ID) if record.signing_key else None
-            )
-            return MavlinkLink(_transport(record), record.sysid, _WANTED, signer)
+            key = record.signing_key
+            signer = Signer(read_key(Path(key)), _LINK_ID) if key else None
+            if not record.alive:  # the bridge's own link
+                transport = connect(record.connect)
+            elif record.peer:
+                transport = connect(f"udpout:{record.peer}")
+            else:
+                raise ConnectError(f"{record.connect}: the address of the vehicle is not known")
+            return MavlinkLink(transport, record.sysid, _WANTED, signer)
         except PtnsbcError as error:
             self.problem = " ".join(str(error).split())
             return None
@@ -333,8 +318,11 @@ class DirectOrder:
             self._link = self._link or self._open()
         if self._link is None:
             return
-        for message in self._link.poll(now_s):
-            self._on_heartbeat(message)
+        for heartbeat in self._link.poll(now_s):
+            if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+                self.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                mode = self._autopilot.mode(heartbeat.base_mode, heartbeat.custom_mode)
+                self.lands = mode is FlightMode.LAND
         if due:
             self.sent += self._link.send(self._commands.message(self._request, 0.0))
 
@@ -342,18 +330,3 @@ class DirectOrder:
         """Close the port."""
         if self._link is not None:
             self._link.close()
-
-    def _on_heartbeat(self, message: Any) -> None:
-        if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
-            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            mode = self._autopilot.mode(message.base_mode, message.custom_mode)
-            self.lands = mode is FlightMode.LAND
-
-
-def _transport(record: VehicleRecord) -> Transport:
-    """The bridge's own link, if the bridge is dead; otherwise the vehicle's address."""
-    if not record.alive:
-        return connect(record.connect)
-    if not record.peer:
-        raise ConnectError(f"{record.connect}: the address of the vehicle is not known")
-    return connect(f"udpout:{record.peer}")

@@ -27,12 +27,12 @@ from ptnsbc_io.wire import (
     decode_header,
 )
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
+from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
+from ptnsbc_nodes.comm.topics import LOST, OVER, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, reported
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
@@ -46,15 +46,7 @@ _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the
 
 
 class FleetNode:
-    """One rclpy node in a context of its own; use it as a context manager.
-
-    Args:
-        domain: ROS domain of the fleet.
-        name: of the node.
-        namespace: of the fleet.
-        ros_arguments: as on a command line.
-        seal: of the fleet.
-    """
+    """One rclpy node of a fleet, in a context of its own; use it as a context manager."""
 
     def __init__(
         self,
@@ -128,22 +120,14 @@ class FleetNode:
 
 
 class FleetStatus:
-    """Reports of the processes of a fleet.
-
-    Attributes:
-        waiting: by process what it waits for, empty when it is ready.
-        active: processes whose nodes are active.
-        vehicles: by bridge what it reported of its vehicle.
-        places: by bridge the measured position (3,) [m], ENU, of its vehicle.
-        last_s: by process the time [s] of its last status, by the monotonic clock.
-    """
+    """Reports of the processes of a fleet."""
 
     def __init__(self, node: FleetNode) -> None:
-        self.waiting: dict[str, str] = {}
-        self.active: set[str] = set()
-        self.vehicles: dict[str, VehicleRecord] = {}
-        self.places: dict[str, tuple[float, ...]] = {}
-        self.last_s: dict[str, float] = {}
+        self.waiting: dict[str, str] = {}  # by process what for, empty when it is ready
+        self.active: set[str] = set()  # processes whose nodes are active
+        self.vehicles: dict[str, VehicleRecord] = {}  # by bridge
+        self.places: dict[str, tuple[float, ...]] = {}  # by bridge, measured (3,) [m], ENU
+        self.last_s: dict[str, float] = {}  # by process the time of its last status, monotonic
         self._wait = LockstepWait()
         self._node = node
         node.attach(self._join)
@@ -153,7 +137,7 @@ class FleetStatus:
             self._node.endpoints.listen(
                 topic, decode_diagnostics, self._on_status, False, RECORDER_RELIABLE
             )
-            for topic in (topics.DIAGNOSTICS, READY)
+            for topic in (topics.DIAGNOSTICS, topics.READY)
         )
 
     def mute(self) -> None:
@@ -168,11 +152,10 @@ class FleetStatus:
     def stuck(self) -> dict[str, float]:
         """Processes that have kept a lock-step flight waiting and give no sign of life, and for how long [s]."""
         now_s = time.monotonic()
-        since_s = now_s - _SIGN_OF_LIFE_S
         return {
             name: waited_s
             for name, waited_s in self._wait.at(now_s).items()
-            if self.last_s.get(name, 0.0) < since_s
+            if self.last_s.get(name, 0.0) < now_s - _SIGN_OF_LIFE_S
         }
 
     def _on_status(self, array: Diagnostics) -> None:
@@ -248,7 +231,7 @@ class LeaderClient:
         """
         if not self._start.service_is_ready():
             self._node.spin(_LOOK_S)
-            return not_there("start").message
+            return _not_there("start").message
         answer = self._ask(self._start, "start", patience_s)
         if answer is None:
             self._unanswered += 1
@@ -257,7 +240,7 @@ class LeaderClient:
             else:
                 self._node.node.destroy_client(self._start)
                 self._start = self._client("start")
-            return unanswered("start").message
+            return _unanswered("start").message
         return None if answer.accepted else answer.message
 
     def call(self, name: str, patience_s: float) -> str | None:
@@ -273,8 +256,8 @@ class LeaderClient:
             self._node.spin(_LOOK_S)
         try:
             if not client.service_is_ready():
-                return not_there(name)
-            return self._ask(client, name, patience_s) or unanswered(name)
+                return _not_there(name)
+            return self._ask(client, name, patience_s) or _unanswered(name)
         finally:
             self._node.node.destroy_client(client)
 
@@ -293,28 +276,21 @@ class LeaderClient:
         return response and Answer(bool(response.success), str(response.message))
 
 
-def not_there(name: str) -> Answer:
-    """The answer where nobody offers a service of the leader."""
+def _not_there(name: str) -> Answer:
     return Answer(False, f"the leader's service /formation/{name} is not there", found=False)
 
 
-def unanswered(name: str) -> Answer:
-    """The answer where a service of the leader gives none."""
+def _unanswered(name: str) -> Answer:
     return Answer(False, f"the leader does not answer /formation/{name}")
 
 
 class FleetNews:
-    """Words of a launcher to the fleet, and of launchers of one fleet to each other: lost processes, and the end.
-
-    Attributes:
-        gone: processes that have ended on other computers.
-        over: True once the launcher that leads has ended the flight.
-    """
+    """Words of a launcher to the fleet, and of launchers of one fleet to each other: lost processes, and the end."""
 
     def __init__(self, node: FleetNode, *, shared: bool, leads: bool) -> None:
         """`shared`: other computers fly the rest of the fleet; `leads`: this launcher ends the flight."""
-        self.gone: set[str] = set()
-        self.over = False
+        self.gone: set[str] = set()  # processes that have ended on other computers
+        self.over = False  # the launcher that leads has ended the flight
         self._node, self._shared, self._leads = node, shared, leads
         node.attach(self._join)
 
@@ -323,11 +299,13 @@ class FleetNews:
         self._publish_lost = endpoints.publisher(LOST, 0)
         if not self._shared:
             return
-        endpoints.listen(LOST, decode_lost, self._on_lost, required=False)
+        endpoints.listen(
+            LOST, decode_lost, lambda process: self.gone.add(process.name), required=False
+        )
         if self._leads:
             self._publish_over = endpoints.publisher(OVER, 0)
         else:
-            endpoints.listen(OVER, decode_header, self._on_over)
+            endpoints.listen(OVER, decode_header, lambda _over: setattr(self, "over", True))
 
     def lose(self, name: str) -> None:
         """Tell all processes to wait for this process no longer."""
@@ -343,36 +321,6 @@ class FleetNews:
     def led(self) -> bool:
         """True if the launcher that leads is there; only for a launcher that follows."""
         return full_name(self._node.node, OVER) not in self._node.endpoints.unheard()
-
-    def _on_lost(self, process: LostProcess) -> None:
-        self.gone.add(process.name)
-
-    def _on_over(self, _over: HeaderFields) -> None:
-        self.over = True
-
-
-class RemoteOrders:
-    """The path of an order to all bridges through the middleware, for `EmergencyStop`."""
-
-    def __init__(self, node: FleetNode, status: FleetStatus) -> None:
-        self._node, self._status = node, status
-        node.attach(self._join)
-
-    def _join(self) -> None:
-        self._publish = self._node.endpoints.publisher(topics.EMERGENCY, 1)
-
-    @property
-    def vehicles(self) -> Mapping[str, VehicleRecord]:
-        """The last report of each bridge, by its name."""
-        return self._status.vehicles
-
-    def send(self, order: Order) -> None:
-        """Publish an order to all bridges, once."""
-        self._publish(HeaderTemplate(order.text).encode(0))
-
-    def spin(self, seconds: float) -> None:
-        """Serve callbacks for a while."""
-        self._node.spin(seconds)
 
 
 class LauncherNode(FleetNode):
@@ -392,10 +340,22 @@ class LauncherNode(FleetNode):
         super().__init__(domain, name, namespace, ros_arguments, seal)
         self.status = FleetStatus(self)
         self.news = FleetNews(self, shared=shared, leads=leads)
-        self.orders = RemoteOrders(self, self.status)
         self.leader = LeaderClient(self)
         self.lifecycle = LifecycleManager(self.status.active)
-        self.attach(lambda: self.lifecycle.join(self.node, self.endpoints.fleet))
+        self.attach(self._join_parts)
+
+    def _join_parts(self) -> None:
+        self.lifecycle.join(self.node, self.endpoints.fleet)
+        self._publish_order = self.endpoints.publisher(topics.EMERGENCY, 1)
+
+    @property
+    def vehicles(self) -> Mapping[str, VehicleRecord]:
+        """The last report of each bridge, by its name."""
+        return self.status.vehicles
+
+    def send(self, order: Order) -> None:
+        """Publish an order to all bridges, once."""
+        self._publish_order(HeaderTemplate(order.text).encode(0))
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while, and take managed nodes on."""

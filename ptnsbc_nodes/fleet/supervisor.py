@@ -235,5 +235,5 @@ def call_down(node: LauncherNode, leg: str, progress: Report) -> None:
     refusal = node.leader.call(leg, _LANDING_CALL_S)
     if refusal is not None:
         progress(f"{refusal}: every bridge is told to land by itself")
-        for line in order_landing(node.folder, node.orders):
+        for line in order_landing(node.folder, node):
             progress(line)

@@ -9,7 +9,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedInputs, PackedOutputs
+import numpy as np
+
+from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
@@ -20,17 +22,16 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
     NeighbourMotions,
-    Vector3,
 )
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.counters import UavCounters
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.slots import Formations, Membership, View
+from ptnsbc_sim.scenario.slots import Formations, Membership, Slots, View, with_slots
 
 
 class Tick(NamedTuple):
@@ -74,26 +75,11 @@ def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
     return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
 
 
-class NewRole(NamedTuple):
-    """The role that a UAV has from this step on."""
-
-    change: RoleChange
-    config: AgentConfig
-    senders: Senders
-
-
 class RoleHolder:
-    """The role of one UAV, by the members that it sees.
+    """The role of one UAV, by the members that it sees, in a scenario in which UAVs may come and go."""
 
-    Args:
-        scenario: of the flight; UAVs may come and go in it.
-        uav_id: the UAV.
-        edges: the communication graph of the scenario.
-    """
-
-    def __init__(self, scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> None:
+    def __init__(self, scenario: Scenario, uav_id: int) -> None:
         self.uav = uav_id
-        self._edges = edges
         self.follow(scenario)
         self.restart()
 
@@ -123,7 +109,7 @@ class RoleHolder:
         """True if the UAV has to hold in a leg, because it is no member yet."""
         return mode == MODE_FORMATION and self.uav in self._members.absent
 
-    def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> NewRole | None:
+    def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> RoleChange | None:
         """Determine the members at a step; returns the new role of the UAV if it changes.
 
         Args:
@@ -148,13 +134,7 @@ class RoleHolder:
             return None
         change = RoleChange(self.uav, self._before, after)
         self._before = after
-        senders = self._edges.of(after).senders(self.uav)
-        return NewRole(change, agent_config(after, self.uav), senders)
-
-
-def role_holder(scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> RoleHolder | None:
-    """The role of a UAV where UAVs may come and go, else None."""
-    return RoleHolder(scenario, uav_id, edges) if scenario.formation.reconfigures else None
+        return change
 
 
 class UavController:
@@ -162,54 +142,60 @@ class UavController:
 
     def __init__(
         self,
-        config: AgentConfig,
-        senders: Senders,
+        scenario: Scenario,
+        uav_id: int,
+        edges: CommunicationGraph,
         plugins: UavPlugins = OURS,
-        roles: RoleHolder | None = None,
     ) -> None:
-        """`plugins`: in the place of ours; `roles`: UAVs may come and go."""
-        self.config = config
-        self._plugins = plugins
-        self._roles = roles
-        self.inbox = Inbox(senders)
+        """`plugins`: in the place of ours."""
+        self._scenario, self._uav, self._edges, self._plugins = scenario, uav_id, edges, plugins
+        self._roles = RoleHolder(scenario, uav_id) if scenario.formation.reconfigures else None
+        self.config = agent_config(scenario, uav_id)
+        self.inbox = Inbox(edges.senders(uav_id))
         self.counters = UavCounters()
-        self.slots: Stamped | None = None  # those in force, of the epoch that decided them
+        self.slots: Stamped | None = None  # (N,) by ascending UAV, of the epoch that decided them
         self.steps = 0  # of this agent
-        self.near_stale = (
-            False  # at the newest step the UAV was slow: its near-object sensor is silent
-        )
+        self.near_stale = False  # it was slow at the newest step: its near-object sensor is silent
         self._agent: Agent | None = None
-        self._agent_config = config  # with which the agent began
+        self._agent_config = self.config  # with which the agent began
 
-    def take_slot(self, slots: Stamped, config: AgentConfig, senders: Senders) -> None:
-        """Fly by a slot that the epoch of `slots` decided from the next step on, with the limits of the vehicle.
+    def take_slot(self, t0_ns: int, slots: Slots) -> None:
+        """Fly by the slot that the epoch at `t0_ns` decided from the next step on, with the limits of the vehicle.
 
         Parent and leader may be others than before: what was known of their motion is forgotten, and the plan
         begins anew.
         """
-        self.slots = slots
-        self.inbox.listen_to(senders)
+        if self.slots is not None and self.slots.stamp_ns == t0_ns:
+            return
+        held = np.array([slots[uav] for uav in sorted(slots)], dtype=np.float64)
+        self.slots = Stamped(t0_ns, held)
+        self.inbox.listen_to(self._edges.holding(slots).senders(self._uav))
+        config = agent_config(with_slots(self._scenario, slots), self._uav)
         forgotten = NeighbourMotions(UNKNOWN, UNKNOWN)
         self.go_on(config, estimate_valid=False, motions=forgotten, last_t=math.inf)
+
+    def follow(self, scenario: Scenario) -> None:
+        """Fly by the mission as it goes on after a word, in the slot and the role that the UAV has."""
+        self._scenario = scenario
+        if self.slots is not None:
+            held = map(int, self.slots.values.tolist())
+            scenario = with_slots(scenario, dict(zip(sorted(scenario.uav_ids), held, strict=True)))
+        if self._roles is not None:
+            self._roles.follow(scenario)
+            scenario = self._roles.flown()
+        self.go_on(agent_config(scenario, self._uav))
 
     def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
         """Take the role that follows from the present members; returns the step, in hold for an absent UAV."""
         if self._roles is None or not at.flying:
             return at
         ages = {one.sender: one.age_s for one in self.inbox.states(at.now_ns, cutoff_ns)}
-        new = self._roles.look(at.now_ns, at.first_t0_ns, ages)
-        if new is not None:
-            self.inbox.listen_to(new.senders)
-            moved = {} if self._agent is None else moved_on(self._agent.state, new.change)._asdict()
-            self.go_on(new.config, **moved)
+        change = self._roles.look(at.now_ns, at.first_t0_ns, ages)
+        if change is not None:
+            self.inbox.listen_to(self._edges.of(change.after).senders(self._uav))
+            moved = {} if self._agent is None else moved_on(self._agent.state, change)._asdict()
+            self.go_on(agent_config(change.after, self._uav), **moved)
         return at._replace(mode=MODE_HOLD) if self._roles.holds(at.mode) else at
-
-    def as_member(self, scenario: Scenario) -> Scenario:
-        """A scenario with the graph in which the UAV flies now."""
-        if self._roles is None:
-            return scenario
-        self._roles.follow(scenario)
-        return self._roles.flown()
 
     def go_on(self, config: AgentConfig, **changes: Any) -> None:
         """Fly by other constants from the next step on, with the limits of the vehicle.
@@ -244,11 +230,6 @@ class UavController:
         own = self.inbox.own
         return own is not None and (now_ns - own.stamp_ns) * 1e-9 > self.config.stale_s
 
-    def silent_estimates(self, now_ns: int) -> list[int]:
-        """Real time: UAVs that have sent estimates of the leader which by now are too old to count."""
-        stale_ns = round(self.config.stale_s * 1e9)
-        return self.inbox.silent_estimates(now_ns, stale_ns)
-
     def restart(self) -> None:
         """Forget all steps: the next step begins a new agent at the vehicle's position."""
         self._agent = None
@@ -266,17 +247,6 @@ class UavController:
         self.counters.restore(counters)
         self._agent_config = self.config
 
-    def _wanted(
-        self, inputs: PackedInputs, at: StepTime, t: float, cutoff_ns: int
-    ) -> Vector3 | None:
-        """The velocity of the law [m/s, ENU], at rest while it does not count; None without one."""
-        if self._plugins.law is None:
-            return None
-        if at.mode != MODE_FORMATION:
-            return (0.0, 0.0, 0.0)
-        heard = self.inbox.states(at.now_ns, cutoff_ns)
-        return self._plugins.law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
-
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
         at = self._take_role(at, cutoff_ns)
@@ -289,14 +259,18 @@ class UavController:
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
         t = (at.now_ns - at.t0_ns) * 1e-9
-        task = None
-        if self._plugins.task is not None:
-            task = self._plugins.task.at(self._agent.task_points(inputs, t, dt))
-        wanted = self._wanted(inputs, at, t, cutoff_ns)
+        plugins, odometry = self._plugins, inputs.vector[OWN:PARENT]
+        task = wanted = None
+        if plugins.task is not None:
+            task = plugins.task.at(self._agent.task_points(inputs, t, dt))
+        if plugins.law is not None:  # at rest while it does not count
+            wanted = (0.0, 0.0, 0.0)
+            if at.mode == MODE_FORMATION:
+                heard = self.inbox.states(at.now_ns, cutoff_ns)
+                wanted = plugins.law.velocity(t, odometry, heard, inputs.near)
         outputs = self._agent.advance(inputs, t, dt, wanted, task)
-        if self._plugins.controller is not None:
-            odometry = inputs.vector[OWN:PARENT]
-            outputs.wrench[:] = self._plugins.wrench(
+        if plugins.controller is not None:
+            outputs.wrench[:] = plugins.wrench(
                 t, dt, odometry, outputs.velocity, outputs.wrench, self.config
             )
         if self.inbox.own_age_s > 0.0:  # it is sent with the stamp of the odometry

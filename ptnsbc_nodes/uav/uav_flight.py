@@ -18,83 +18,11 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs, Leg
-from ptnsbc_nodes.uav.uav_controller import StepTime, Tick, UavController, role_holder, step_time
+from ptnsbc_nodes.uav.uav_controller import StepTime, Tick, UavController, step_time
 from ptnsbc_nodes.uav.uav_faults import UavFaults
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
-from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.slots import Slots, are_open, optimal_slots, with_slots
-
-
-class SlotHolder:
-    """One UAV and the slot that it takes.
-
-    Args:
-        scenario: of the flight.
-        uav_id: the UAV.
-        edges: the communication graph of the scenario.
-    """
-
-    def __init__(self, scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> None:
-        self._scenario = scenario
-        self._uav = uav_id
-        self._edges = edges
-
-    def take(self, controller: UavController, t0_ns: int, slots: Slots) -> None:
-        """Have the controller fly by the slot that the epoch at `t0_ns` decided, unless it does."""
-        if controller.slots is not None and controller.slots.stamp_ns == t0_ns:
-            return
-        config = agent_config(with_slots(self._scenario, slots), self._uav)
-        senders = self._edges.holding(slots).senders(self._uav)
-        controller.take_slot(stamped_slots(t0_ns, slots), config, senders)
-
-    def follow(self, controller: UavController, scenario: Scenario) -> None:
-        """Have the controller fly by the mission as it goes on after a word, in the slot that it has."""
-        self._scenario = scenario
-        if controller.slots is not None:
-            held = controller.slots.values.tolist()
-            slots = {
-                uav: int(slot) for uav, slot in zip(sorted(scenario.uav_ids), held, strict=True)
-            }
-            scenario = with_slots(scenario, slots)
-        scenario = controller.as_member(scenario)
-        controller.go_on(agent_config(scenario, self._uav))
-
-
-def stamped_slots(t0_ns: int, slots: Slots) -> Stamped:
-    """Slots (N,) by ascending UAV, as a message that a step uses."""
-    return Stamped(t0_ns, np.array([slots[uav] for uav in sorted(slots)], dtype=np.float64))
-
-
-class OpenSlots:
-    """The decisions that one UAV has heard, and its slot.
-
-    Args:
-        scenario: of the flight.
-        holder: takes the slot.
-        controller: of the UAV.
-    """
-
-    def __init__(self, scenario: Scenario, holder: SlotHolder, controller: UavController) -> None:
-        self.decided = DecidedSlots(scenario)
-        self._holder = holder
-        self._controller = controller
-
-    def take(self, leg: Leg | None) -> bool:
-        """Take the slot of a leg; False while the slots of a formation leg are not known."""
-        if leg is None or leg.mode != MODE_FORMATION:
-            return True
-        slots = self.decided.of(leg.t0_ns)
-        if slots is None:
-            return False
-        self._holder.take(self._controller, leg.t0_ns, slots)
-        return True
-
-    def fault(self, leg: Leg | None) -> str:
-        """The fault of the slots of a leg, empty without one."""
-        missing = leg is not None and leg.mode == MODE_FORMATION
-        if leg is None or not missing or self.decided.of(leg.t0_ns) is not None:
-            return ""
-        return f"holding: no slots of the epoch at {leg.t0_ns * 1e-9:.3f} s on {topics.SLOTS.name}"
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.slots import are_open, optimal_slots
 
 
 class SlotDecider:
@@ -163,18 +91,11 @@ class UavFlight:
         self.uav = uav_id
         self.scenario = scenario
         self.epochs = Epochs(scenario)
-        self.controller = UavController(
-            agent_config(scenario, uav_id),
-            edges.senders(uav_id),
-            UavPlugins.of(scenario, uav_id),
-            role_holder(scenario, uav_id, edges),
-        )
+        plugins = UavPlugins.of(scenario, uav_id)
+        self.controller = UavController(scenario, uav_id, edges, plugins)
         self.inbox = self.controller.inbox
         self.faults = UavFaults(scenario, uav_id, self.inbox, edges.options.lockstep)
-        self._holder = SlotHolder(scenario, uav_id, edges)
-        self.slots: OpenSlots | None = None
-        if are_open(scenario):
-            self.slots = OpenSlots(scenario, self._holder, self.controller)
+        self.decided = DecidedSlots(scenario) if are_open(scenario) else None
         self.decider: SlotDecider | None = None  # of the leader, where slots are open
         # A bridge brings its vehicle to the start before the first leg.
         self._at_start = not edges.options.bridged
@@ -207,7 +128,20 @@ class UavFlight:
 
     def take_slot(self, leg: Leg | None) -> bool:
         """Take the slot of a leg; False while it is open and not decided."""
-        return self.slots is None or self.slots.take(leg)
+        if self.decided is None or leg is None or leg.mode != MODE_FORMATION:
+            return True
+        slots = self.decided.of(leg.t0_ns)
+        if slots is not None:
+            self.controller.take_slot(leg.t0_ns, slots)
+        return slots is not None
+
+    def slots_fault(self, leg: Leg | None) -> str:
+        """The fault of the slots of a leg, empty without one."""
+        if self.decided is None or leg is None or leg.mode != MODE_FORMATION:
+            return ""
+        if self.decided.of(leg.t0_ns) is not None:
+            return ""
+        return f"holding: no slots of the epoch at {leg.t0_ns * 1e-9:.3f} s on {topics.SLOTS.name}"
 
     def step(self, tick: Tick, start_ns: int) -> FlownStep:
         """Make the step of a tick; before the first leg its time counts from `start_ns`."""
@@ -215,7 +149,7 @@ class UavFlight:
         mission = self.epochs.scenario
         if mission is not self.scenario:
             self.scenario = mission
-            self._holder.follow(self.controller, mission)
+            self.controller.follow(mission)
             if self.decider is not None:
                 self.decider.follow(mission)
         leg = self.leg(tick.now_ns)

@@ -18,10 +18,13 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.uav_flight import UavFlight
-from ptnsbc_nodes.uav.uav_status import UavStatus, VehiclePresence
+from ptnsbc_nodes.uav.uav_status import UavStatus
 from ptnsbc_nodes.uav.uav_topics import LeaderSetpoints, Outbox, Subscriptions
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
+
+ABANDONED_S = 30.0
+"""A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
 
 
 class UavNode:
@@ -39,7 +42,8 @@ class UavNode:
         self.node = node
         self._recorded = edges.options.recorded
         self._active = False
-        self._vehicle = VehiclePresence(on_abandoned)
+        self._on_abandoned = on_abandoned
+        self._vehicle_seen_s: float | None = None
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._clock: UavClock = (
             LockstepClock(scenario) if edges.options.lockstep else RealTimeClock(node, scenario)
@@ -50,7 +54,7 @@ class UavNode:
         self._heard.hear(topics.EPOCH, decode_leg, self._on_leg)
         if edges.options.bridged:
             self._heard.hear_limits()
-        if self.flight.slots is not None and uav_id == scenario.leader.id:
+        if self.flight.decided is not None and uav_id == scenario.leader.id:
             self._heard.decide_slots(edges)
         publish_description(self.endpoints, scenario, uav_id)
         self._status = UavStatus(self.endpoints, node, self.flight, self._clock, edges.options)
@@ -111,16 +115,15 @@ class UavNode:
         return missing
 
     def look_for_vehicle(self, now_s: float) -> None:
-        """Notice when the process of the vehicle is gone for good."""
-        self._vehicle.look(self._heard.odom_name not in self.endpoints.unheard(), now_s)
+        """Notice that the vehicle's process, which was there, has been gone for `ABANDONED_S`."""
+        if self._heard.odom_name not in self.endpoints.unheard():
+            self._vehicle_seen_s = now_s
+        elif self._vehicle_seen_s is not None and now_s - self._vehicle_seen_s > ABANDONED_S:
+            self._on_abandoned()
 
     def _waiting_to_start(self) -> list[str]:
         """The things for which a leg in formation waits: with open slots, positions too."""
-        missing = self.waiting_for()
-        return [
-            *missing,
-            *(name for name in self._heard.unknown_positions() if name not in missing),
-        ]
+        return [*dict.fromkeys((*self.waiting_for(), *self._heard.unknown_positions()))]
 
     def _services(self, edges: CommunicationGraph) -> LegServices | None:
         """The services of the leader, which a successor serves when it leads; None for all others."""

@@ -1,4 +1,4 @@
-"""The status that a UAV process publishes, its safety state, and the notice that its vehicle's process is gone.
+"""The status that a UAV process publishes, and its safety state.
 
 A follower whose parent or leader is silent holds by the law itself, which keeps it clear meanwhile. A UAV without its
 own odometry sends no setpoint, because a setpoint is the proof of life for its vehicle.
@@ -6,7 +6,7 @@ own odometry sends no setpoint, because a setpoint is the proof of life for its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from rclpy.node import Node
@@ -24,24 +24,6 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.uav.clocks import UavClock
 from ptnsbc_nodes.uav.uav_flight import UavFlight
-
-ABANDONED_S = 30.0
-"""A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
-
-
-class VehiclePresence:
-    """Notices that a vehicle's process, which was there, has been gone for `ABANDONED_S`."""
-
-    def __init__(self, on_abandoned: Callable[[], None]) -> None:
-        self._on_abandoned = on_abandoned
-        self._seen_s: float | None = None
-
-    def look(self, present: bool, now_s: float) -> None:
-        """Take note of whether the process is there."""
-        if present:
-            self._seen_s = now_s
-        elif self._seen_s is not None and now_s - self._seen_s > ABANDONED_S:
-            self._on_abandoned()
 
 
 class PlannerSight(NamedTuple):
@@ -73,24 +55,20 @@ def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
         yield Concern(SafetyState.HOLD_CLEAR, error, sight.slots_fault)
     elif sight.holding:
         yield Concern(SafetyState.HOLD_CLEAR, warn, "holding")
-    for reason in filter(None, _lacks(sight)):
-        yield Concern(SafetyState.DEGRADED, warn, reason)
-    if sight.waiting_for:
-        state = SafetyState.DEGRADED if sight.flying else SafetyState.NOMINAL
-        yield Concern(state, warn, f"waiting for {sight.waiting_for}")
-
-
-def _lacks(sight: PlannerSight) -> tuple[str, ...]:
-    """Faults in spite of which the UAV flies on; an empty text says that there is none."""
-    silent, missed = sight.silent_estimates, sight.missed_ticks
-    return (
+    missed = sight.missed_ticks
+    for reason in (  # in spite of which the UAV flies on
         sight.clock_offset,
         "deadlock: avoidance leaves no way to the place" if sight.deadlock else "",
         "near objects are stale: slow" if sight.near_stale else "",
-        f"estimates left out: {silent}" if silent else "",
+        f"estimates left out: {sight.silent_estimates}" if sight.silent_estimates else "",
         sight.intruder,
         f"{missed} ticks missed since the last status" if missed > 0 else "",
-    )
+    ):
+        if reason:
+            yield Concern(SafetyState.DEGRADED, warn, reason)
+    if sight.waiting_for:
+        state = SafetyState.DEGRADED if sight.flying else SafetyState.NOMINAL
+        yield Concern(state, warn, f"waiting for {sight.waiting_for}")
 
 
 class UavStatus:
@@ -104,41 +82,26 @@ class UavStatus:
         clock: UavClock,
         options: FlightOptions,
     ) -> None:
-        self._endpoints = endpoints
-        self._flight = flight
-        self._clock = clock
+        self._endpoints, self._flight, self._clock = endpoints, flight, clock
         name = f"uav{flight.uav}: planner"
         self._status = StatusPublisher(node, endpoints, name, options.recorders)
         self._reported_missed = 0
 
     def publish(self, stamp_ns: int, missing: Sequence[str], active: bool) -> None:
         """Publish the status at an instant of the flight, -1 outside of it; `missing`: what the UAV waits for."""
-        flight = self._flight
-        leg = flight.leg(stamp_ns)
-        safety = assess(planner_concerns(self._sight(stamp_ns, missing, active)))
-        values = {
-            **readiness(missing),
-            "mode": leg.name if leg else "waiting",
-            SAFETY: safety.state.text,
-            "missed_ticks": str(self._clock.pace.missed),
-            **flight.controller.counters.values(),
-            **self._endpoints.refusals.values(),
-        }
-        if flight.faults.injected:
-            values["injected"] = "; ".join(flight.faults.injected)
-        self._status.publish(stamp_ns, safety.level, safety.reason, values)
-
-    def _sight(self, stamp_ns: int, missing: Sequence[str], active: bool) -> PlannerSight:
         flight, clock, controller = self._flight, self._clock, self._flight.controller
-        flying = flight.epochs.announced
+        flying, leg = flight.epochs.announced, flight.leg(stamp_ns)
         missed = clock.pace.missed - self._reported_missed
         self._reported_missed = clock.pace.missed
-        silent = () if clock.lockstep or not flying else controller.silent_estimates(stamp_ns)
-        return PlannerSight(
+        silent: list[int] = []
+        if flying and not clock.lockstep:
+            stale_ns = round(controller.config.stale_s * 1e9)
+            silent = flight.inbox.silent_estimates(stamp_ns, stale_ns)
+        sight = PlannerSight(
             holding=flying and controller.counters.holding,
             inactive=not active,
             odometry_stale=not clock.lockstep and controller.odometry_stale(stamp_ns),
-            slots_fault="" if flight.slots is None else flight.slots.fault(flight.leg(stamp_ns)),
+            slots_fault=flight.slots_fault(leg),
             deadlock=flying and controller.counters.deadlock,
             near_stale=flying and controller.near_stale,
             silent_estimates=" ".join(f"uav{i}" for i in silent),
@@ -148,3 +111,15 @@ class UavStatus:
             waiting_for=", ".join(missing),
             flying=flying,
         )
+        safety = assess(planner_concerns(sight))
+        values = {
+            **readiness(missing),
+            "mode": leg.name if leg else "waiting",
+            SAFETY: safety.state.text,
+            "missed_ticks": str(clock.pace.missed),
+            **controller.counters.values(),
+            **self._endpoints.refusals.values(),
+        }
+        if flight.faults.injected:
+            values["injected"] = "; ".join(flight.faults.injected)
+        self._status.publish(stamp_ns, safety.level, safety.reason, values)

@@ -35,15 +35,7 @@ T = TypeVar("T")
 
 
 class Subscriptions:
-    """Everything that a UAV hears, on its way into its flight.
-
-    Args:
-        node: of the UAV.
-        endpoints: of the node.
-        flight: takes the messages.
-        clock: its rule says which stamps are taken.
-        advance: called in lock-step after each message, which may be the last that a tick waits for.
-    """
+    """Everything that a UAV hears, on its way into its flight."""
 
     def __init__(
         self,
@@ -53,11 +45,9 @@ class Subscriptions:
         clock: UavClock,
         advance: Callable[[], None],
     ) -> None:
-        self._node = node
-        self._endpoints = endpoints
-        self._flight = flight
-        self._clock = clock
-        self._advance = advance
+        """`advance`: called in lock-step after each message, which may be the last that a tick waits for."""
+        self._node, self._endpoints, self._flight = node, endpoints, flight
+        self._clock, self._advance = clock, advance
         # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
         self.odom_name = self._hear_odometry(flight.uav, flight.take_odometry)
         near = in_order(checked_near, clock.stamp_rule())
@@ -65,15 +55,14 @@ class Subscriptions:
         self._hear_neighbours()
         self.hear(topics.LOST, decode_lost, flight.take_lost, required=False)
         if flight.faults.allowed:
-            faults = fault_decoder(flight.scenario.uav_ids)
             self.hear(
                 topics.FAULT,
-                faults,
+                fault_decoder(flight.scenario.uav_ids),
                 lambda order: flight.faults.take(order, clock.now_ns()),
                 required=False,
             )
-        if flight.slots is not None:
-            self.hear(topics.SLOTS, flight.slots.decided.decode, flight.slots.decided.keep)
+        if flight.decided is not None:
+            self.hear(topics.SLOTS, flight.decided.decode, flight.decided.keep)
 
     def hear(
         self,
@@ -107,8 +96,8 @@ class Subscriptions:
 
         def announce(decision: Decision) -> None:
             publish(encode_slots(decision))
-            if flight.slots is not None:
-                flight.slots.decided.keep(decision)
+            if flight.decided is not None:
+                flight.decided.keep(decision)
 
         decider = flight.decider = SlotDecider(scenario, announce)
         for uav in scenario.uav_ids:
@@ -156,7 +145,7 @@ class Subscriptions:
 
 
 class Outbox:
-    """Publishers of one UAV: what it sends at each tick, and in real time the log of its steps."""
+    """Publishers of one UAV: what it sends at each tick, and in real time the log to repeat its steps by."""
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
         uav, recorders = flight.uav, edges.options.recorders
@@ -171,9 +160,15 @@ class Outbox:
                 topics.velocity_setpoint(uav),
             )
         )
-        self._log = None
-        if not edges.options.lockstep:
-            self._log = _StepLogPublisher(endpoints, recorders, flight)
+        self._logs = not edges.options.lockstep
+        if self._logs:
+            self._controller = flight.controller
+            self._snapshot_every = flight.scenario.timing.control_hz  # steps
+            self._senders = flight.inbox.senders
+            self._tick = TickTemplate(self._senders)
+            self._snapshot: SnapshotTemplate | None = None
+            self._send_tick = endpoints.publisher(topics.tick(uav), recorders)
+            self._send_snapshot = endpoints.publisher(topics.snapshot(uav), recorders)
 
     def send(self, step: FlownStep) -> None:
         """Publish a step; the wrench first, because the plant waits for it."""
@@ -182,31 +177,18 @@ class Outbox:
         self._send_state(messages.state(step.own, outputs))
         self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
         self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
-        if self._log is not None:
-            self._log.send(step)
+        if self._logs:
+            self._log(step)
 
-
-class _StepLogPublisher:
-    """Publishers of the step log, with which the steps of a UAV in real time can be repeated."""
-
-    def __init__(self, endpoints: Endpoints, readers: int, flight: UavFlight) -> None:
-        self._controller = flight.controller
-        self._snapshot_every = flight.scenario.timing.control_hz  # steps
-        self._senders = flight.inbox.senders
-        self._template = TickTemplate(self._senders)
-        self._send_tick = endpoints.publisher(topics.tick(flight.uav), readers)
-        self._send_snapshot = endpoints.publisher(topics.snapshot(flight.uav), readers)
-        self._snapshot: SnapshotTemplate | None = None
-
-    def send(self, step: FlownStep) -> None:
+    def _log(self, step: FlownStep) -> None:
         """Publish the messages that a step used, and at times the state after it."""
         controller = self._controller
         sequence = controller.steps - 1
         if controller.inbox.senders is not self._senders:  # it has taken another slot
             self._senders = controller.inbox.senders
-            self._template = TickTemplate(self._senders)
+            self._tick = TickTemplate(self._senders)
         used = used_by(controller, step.at.now_ns, NO_CUTOFF_NS)
-        self._send_tick(self._template.encode(sequence, step.at, used))
+        self._send_tick(self._tick.encode(sequence, step.at, used))
         if sequence % self._snapshot_every == 0:
             self._snapshot = self._snapshot or SnapshotTemplate(controller)
             self._send_snapshot(self._snapshot.encode(sequence, controller))

@@ -31,7 +31,7 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.emergency.orders import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, FleetStatus, RemoteOrders
+from ptnsbc_nodes.fleet.fleet_node import Answer, LauncherNode
 from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
@@ -224,8 +224,8 @@ class OperatorNode:
         try:
             operation.begin()
             operation.run(_LOCAL_S)  # the bridges of this host need not wait for the middleware
-            with FleetNode(self._domain, "operator_stop", self.endpoints.fleet) as node:
-                operation.remote = RemoteOrders(node, FleetStatus(node))
+            with LauncherNode(self._domain, "operator_stop", self.endpoints.fleet) as node:
+                operation.remote = node
                 operation.discover(_DISCOVERY_S)
                 if not operation.bridges:  # a simulated fleet
                     return self._tell_leader(response, kill=request.kill)

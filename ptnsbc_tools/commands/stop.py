@@ -94,7 +94,7 @@ def _give(
         operation.begin()
         operation.run(0.1)  # the bridges of this host need not wait for the middleware
     with _middleware(domain, fleet) as node:
-        operation.remote = node.orders
+        operation.remote = node
         if ready:
             _wait_for_key(operation, node, kill=kill)
             operation.begin()

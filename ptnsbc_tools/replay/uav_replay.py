@@ -26,11 +26,10 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits, role_holder
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits
 from ptnsbc_nodes.uav.uav_faults import sent_faults
-from ptnsbc_nodes.uav.uav_flight import SlotHolder
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
-from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.recorded_messages import (
     Difference,
     Mismatch,
@@ -109,16 +108,13 @@ class UavReplay:
         self.senders = edges.senders(uav)
         self._scenario, self._fleet = scenario, fleet
         self._decided = decided
-        self._holder = SlotHolder(scenario, uav, edges)
         self.account = Account()
         self.inputs = source_topics(uav, self.senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
-        self._config = agent_config(scenario, uav)
         self._plugins = plugins
         self._edges = edges
-        roles = role_holder(scenario, uav, edges)
-        self.controller = UavController(self._config, self.senders, plugins, roles)
+        self.controller = UavController(scenario, uav, edges, plugins)
         self._put = _inbox_setters(self.controller.inbox)
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
@@ -137,9 +133,9 @@ class UavReplay:
         self.next_step = None
         self._held.clear()
         self.inputs = source_topics(self.uav, self.senders)
-        config = self._config if limits is None else limits.applied_to(self._config)
-        roles = role_holder(self._scenario, self.uav, self._edges)
-        self.controller = UavController(config, self.senders, self._plugins, roles)
+        self.controller = UavController(self._scenario, self.uav, self._edges, self._plugins)
+        if limits is not None:
+            self.controller.config = limits.applied_to(self.controller.config)
         self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:
@@ -155,21 +151,20 @@ class UavReplay:
         """Fly by the mission as it goes on after a word."""
         if scenario is not None and scenario is not self._scenario:
             self._scenario = scenario
-            self._config = agent_config(scenario, self.uav)
-            self._holder.follow(self.controller, scenario)
+            self.controller.follow(scenario)
 
     def take_slot(self, t0_ns: int) -> None:
         """Fly by the slot that the epoch at `t0_ns` decided; MissingError when that is not recorded."""
         slots = self._decided.of(t0_ns)
         if slots is None:
             raise MissingError(f"{topics.SLOTS.name} stamped {t0_ns} is not recorded")
-        self._holder.take(self.controller, t0_ns, slots)
+        self.controller.take_slot(t0_ns, slots)
         self.inputs = source_topics(self.uav, self.controller.inbox.senders)
 
     def _decode_snapshot(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
         numbers = np.asarray(row.values, dtype=np.float64)
-        return decode_snapshot(row.label, numbers, like=_empty_state(self._config))
+        return decode_snapshot(row.label, numbers, like=_empty_state(self.controller.config))
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message into the inbox."""

@@ -28,8 +28,7 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.emergency.orders import APART, Order
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.uav_controller import UavController, role_holder, step_time
-from ptnsbc_nodes.uav.uav_flight import SlotHolder
+from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -111,7 +110,6 @@ class FleetUav:
         self.controller = self.new_controller()
         self.estimates = []
         self.epochs = Epochs(scenario)
-        self.holder = SlotHolder(scenario, uav_id, edges)
         self.followed = scenario
         self.near_objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
         self.odometry_template = OdometryTemplate("map", "x")
@@ -143,10 +141,9 @@ class FleetUav:
 
     def new_controller(self):
         """The controller as a process has it that begins."""
-        scenario, senders = self.fleet.scenario, self.edges.senders(self.id)
+        scenario = self.fleet.scenario
         plugins = UavPlugins.of(scenario, self.id)
-        roles = role_holder(scenario, self.id, self.edges)
-        return UavController(agent_config(scenario, self.id), senders, plugins, roles)
+        return UavController(scenario, self.id, self.edges, plugins)
 
     def start_again(self):
         """The UAV process that has ended begins anew: legs and limits are latched, all else is forgotten."""
@@ -209,7 +206,7 @@ class FleetUav:
             self.controller.restart()
         if self.epochs.scenario is not self.followed:
             self.followed = self.epochs.scenario
-            self.holder.follow(self.controller, self.followed)
+            self.controller.follow(self.followed)
         period_ns = self.fleet.scenario.timing.dt_ns
         out = self.controller.step(step_time(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
         values = (

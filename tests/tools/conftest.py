@@ -21,7 +21,7 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 from ptnsbc_nodes.uav.uav_controller import UavController, VehicleSpeedLimits, step_time
-from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
+from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_sim.world import World
 from ptnsbc_tools import console
@@ -73,13 +73,14 @@ class _Process:
     """One UAV as its process ticks in real time, without ROS around it."""
 
     def __init__(self, scenario: Scenario, uav: int) -> None:
-        senders = CommunicationGraph(scenario, FlightOptions()).senders(uav)
+        edges = CommunicationGraph(scenario, FlightOptions())
+        senders = edges.senders(uav)
         self.uav = uav
         self.senders = senders
         self.wrench = np.zeros(6)
         self._carried = uav == CARRIED
         self.epochs = Epochs(scenario)
-        self._pilot = UavController(agent_config(scenario, uav), senders)
+        self._pilot = UavController(scenario, uav, edges)
         self.inbox = self._pilot.inbox
         if self._carried:
             slow = VehicleSpeedLimits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows

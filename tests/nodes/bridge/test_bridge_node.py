@@ -159,7 +159,7 @@ def test_a_vehicle_has_one_name_on_every_path(ros, bridge, fleet):
         assert socket_path(folder, "bridge3").exists()
         assert record_path(folder, "bridge3").exists()
         ros.spin_until(lambda: node.spin(0.02) or node.status.vehicles)
-        operation = EmergencyStop(folder, Order(LAND), node.orders)
+        operation = EmergencyStop(folder, Order(LAND), node)
         try:
             assert operation.bridges == [f"bridge{i}" for i in scenario.uav_ids]
             operation.begin()

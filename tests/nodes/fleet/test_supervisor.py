@@ -193,7 +193,6 @@ class Fleet:
             load_scenario("experiment_4"), backend="mavlink", allow_arming=True, only=only
         )
         monkeypatch.setattr(flights.time, "monotonic", lambda: self.now_s)
-        self.orders = "orders"
         self.supervisor = supervisor_of(options, self, self.bridges, self.stop, self.said.append)
 
     def call(self, leg, _patience_s):
@@ -286,7 +285,7 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
     )
     fleet.end_at(1.0, fleet.bridges[0])
     fleet.supervisor._land()
-    assert told == [(tmp_path, "orders")]
+    assert [folder for folder, _ in told] == [tmp_path]
     assert fleet.said == [
         f"{fleet.answer}: every bridge is told to land by itself",
         "bridge1: silent",

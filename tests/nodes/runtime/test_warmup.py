@@ -11,7 +11,7 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
-from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.world import World
 
 
@@ -23,9 +23,7 @@ def test_after_loading_no_tick_waits_for_a_law():
     load_agent(scenario, scenario.leader.id)
     load_world(scenario)
     edges = CommunicationGraph(scenario, FlightOptions())
-    controllers = {
-        i: UavController(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids
-    }
+    controllers = {i: UavController(scenario, i, edges) for i in scenario.uav_ids}
     before = loaded()
     fly(scenario, edges, controllers, ticks=20)
     assert loaded() - before == set()

@@ -7,11 +7,11 @@ import pytest
 
 from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import Stamped, WireError, decode_floats, decode_integers
-from ptnsbc_nodes.comm.graph import Senders
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions, Senders
 from ptnsbc_nodes.uav import step_log
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import StepTime, UavController
-from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario import load_scenario
 
 SENDERS = Senders(parent=2, leader=1, estimators=(2, 4))
 STEP_NS = 10_000_000
@@ -36,7 +36,10 @@ def fed(controller: UavController, rng: np.random.Generator, k: int) -> StepTime
 
 
 def controller() -> UavController:
-    return UavController(agent_config(load_scenario("paper_5_free"), 3), SENDERS)
+    scenario = load_scenario("paper_5_free")
+    made = UavController(scenario, 3, CommunicationGraph(scenario, FlightOptions()))
+    made.inbox.listen_to(SENDERS)
+    return made
 
 
 def test_a_tick_names_its_inputs():

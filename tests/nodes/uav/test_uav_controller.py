@@ -13,11 +13,18 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import RoleHolder, StepTime, UavController
-from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.world import World
 
 SECOND_NS = 1_000_000_000
+
+
+def controller(scenario: Scenario, uav: int, senders: Senders) -> UavController:
+    """A controller that hears these senders alone."""
+    made = UavController(scenario, uav, CommunicationGraph(scenario, FlightOptions()))
+    made.inbox.listen_to(senders)
+    return made
 
 
 @pytest.mark.parametrize(
@@ -28,7 +35,7 @@ def test_near_objects_that_are_not_refreshed_are_told(
     avoidance: str, seen_s: float, stale: bool
 ) -> None:
     scenario = load_scenario("paper_5_free", {"formation.avoidance": avoidance})
-    flown = UavController(agent_config(scenario, 1), Senders(None, None, ()))
+    flown = controller(scenario, 1, Senders(None, None, ()))
     values = np.zeros(13)
     values[6] = 1.0
     flown.inbox.own = Stamped(3 * SECOND_NS, values)
@@ -42,7 +49,7 @@ def leader_off_m(late_ticks: int) -> float:
     """Largest distance [m] of the leader from its path after 10 s, by odometry that is so old at every tick."""
     scenario = load_scenario("relay", {"formation.avoidance": "off"})
     world, path = World(scenario), leader_trajectory(scenario)
-    flown = UavController(agent_config(scenario, 1), Senders(None, None, ()))
+    flown = controller(scenario, 1, Senders(None, None, ()))
     flown.inbox.near = Stamped(0, np.zeros((0, 7)))
     odometry: deque[Stamped] = deque(maxlen=late_ticks + 1)
     wrenches = {uav: np.zeros(6) for uav in world.ids}
@@ -71,7 +78,7 @@ def test_late_odometry_does_not_move_the_leader_ahead_of_its_path() -> None:
 @pytest.mark.parametrize("late_ticks", [0, 3])
 def test_an_estimate_is_of_the_time_that_its_message_has(late_ticks: int) -> None:
     scenario = load_scenario("paper_5_free")
-    flown = UavController(agent_config(scenario, 2), Senders(1, 1, ()))
+    flown = controller(scenario, 2, Senders(1, 1, ()))
     flown.inbox.near = Stamped(0, np.zeros((0, 7)))
     velocity, start, period_ns = np.array([1.2, 0.0, -0.3]), np.array([5.0, 0.0, 3.0]), 10_000_000
 
@@ -97,7 +104,7 @@ FRESH = dict.fromkeys(range(2, 8), 0.01)
 def test_a_leader_whose_process_stood_still_knows_that_it_was_lost(pause_s, leads):
     """SIGSTOP, or a computer that is too busy: the others follow the successor by then."""
     relay = load_scenario("relay")
-    role = RoleHolder(relay, 1, CommunicationGraph(relay, FlightOptions()))
+    role = RoleHolder(relay, 1)
     for tick in range(100):
         role.look(tick * ROLE_DT_NS, 0, FRESH)
     assert role.leads

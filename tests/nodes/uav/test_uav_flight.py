@@ -14,8 +14,8 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import sources, used_by
-from ptnsbc_nodes.uav.uav_controller import UavController, step_time
-from ptnsbc_nodes.uav.uav_flight import OpenSlots, SlotDecider, SlotHolder, at_epoch
+from ptnsbc_nodes.uav.uav_controller import step_time
+from ptnsbc_nodes.uav.uav_flight import SlotDecider, UavFlight, at_epoch
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
@@ -34,24 +34,21 @@ def odometry(at: np.ndarray, velocity: tuple[float, float, float] = (0.0, 0.0, 0
     return np.array([*at, 0.0, 0.0, 0.0, 1.0, *velocity, 0.0, 0.0, 0.0])
 
 
-class Uav:
+def new_uav(uav: int) -> UavFlight:
     """One UAV as its process flies it, without ROS around it."""
-
-    def __init__(self, uav: int) -> None:
-        self.controller = UavController(agent_config(SCENARIO, uav), EDGES.senders(uav))
-        self.slots = OpenSlots(SCENARIO, SlotHolder(SCENARIO, uav, EDGES), self.controller)
+    return UavFlight(SCENARIO, uav, EDGES)
 
 
 def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
-    one = Uav(5)
+    one = new_uav(5)
     assert EDGES.senders(5).heard_states == (1, 2, 3, 4)
     inbox = one.controller.inbox
     assert set(inbox.state_queues) == set(inbox.estimate_queues) == {1, 2, 3, 4}
     assert one.controller.inbox.senders.states == (1, 4)
     epochs = Epochs(SCENARIO)
     epochs.announce(0, "form")
-    one.slots.decided.keep(Decision(0, SECOND))
-    assert one.slots.take(epochs.at(0))
+    one.decided.keep(Decision(0, SECOND))
+    assert one.take_slot(epochs.at(0))
     assert one.controller.inbox.senders.states == (4,)  # slot 2 has the leader as parent: UAV 4
     assert one.controller.inbox.senders.estimators == (1,)  # of slot 3
     held = agent_config(with_slots(SCENARIO, SECOND), 5)
@@ -70,30 +67,30 @@ def test_fixed_slots_hear_nobody_else() -> None:
 
 
 def test_a_leg_without_a_decision_is_not_flown_and_says_so() -> None:
-    one, epochs = Uav(3), Epochs(SCENARIO)
-    assert one.slots.take(epochs.at(0))  # no leg yet
+    one, epochs = new_uav(3), Epochs(SCENARIO)
+    assert one.take_slot(epochs.at(0))  # no leg yet
     epochs.announce(2_000_000_000, "form")
     leg = epochs.at(2_000_000_000)
-    assert not one.slots.take(leg)
-    assert one.slots.fault(leg) == ("holding: no slots of the epoch at 2.000 s on /formation/slots")
-    one.slots.decided.keep(Decision(1_000_000_000, FIRST))  # of another epoch
-    assert one.slots.fault(leg)
-    one.slots.decided.keep(Decision(2_000_000_000, SECOND))
-    assert one.slots.take(leg)
-    assert one.slots.fault(leg) == ""
+    assert not one.take_slot(leg)
+    assert one.slots_fault(leg) == ("holding: no slots of the epoch at 2.000 s on /formation/slots")
+    one.decided.keep(Decision(1_000_000_000, FIRST))  # of another epoch
+    assert one.slots_fault(leg)
+    one.decided.keep(Decision(2_000_000_000, SECOND))
+    assert one.take_slot(leg)
+    assert one.slots_fault(leg) == ""
     epochs.announce(3_000_000_000, "hold")
     taken = one.controller.inbox.senders
-    assert one.slots.take(epochs.at(3_000_000_000))  # keeps its slot
+    assert one.take_slot(epochs.at(3_000_000_000))  # keeps its slot
     assert one.controller.inbox.senders is taken
 
 
 def test_limits_of_the_vehicle_outlive_the_slot() -> None:
-    one, epochs = Uav(3), Epochs(SCENARIO)
+    one, epochs = new_uav(3), Epochs(SCENARIO)
     epochs.announce(0, "form")
     filtered = one.controller.config.filter._replace(max_speed=1.25)
     one.controller.config = one.controller.config._replace(filter=filtered)
-    one.slots.decided.keep(Decision(0, SECOND))
-    one.slots.take(epochs.at(0))
+    one.decided.keep(Decision(0, SECOND))
+    one.take_slot(epochs.at(0))
     assert one.controller.config.filter == filtered
 
 
@@ -157,7 +154,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
     UAV 3 hears of each decision `late_ns` after its epoch.
     """
     world, period_ns = World(SCENARIO), SCENARIO.timing.dt_ns
-    uavs = {uav: Uav(uav) for uav in world.ids}
+    uavs = {uav: new_uav(uav) for uav in world.ids}
     epochs = Epochs(SCENARIO)
     for t0_ns, _ in slots:
         epochs.announce(t0_ns, "form")
@@ -169,7 +166,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
         for t0_ns, decision in slots:
             for uav, one in uavs.items():
                 if now_ns >= t0_ns + (late_ns if uav == 3 else 0):
-                    one.slots.decided.keep(Decision(t0_ns, decision))
+                    one.decided.keep(Decision(t0_ns, decision))
         for row, (uav, one) in enumerate(uavs.items()):
             controller = one.controller
             own = Stamped(now_ns, world.odometry(uav).copy())
@@ -180,7 +177,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
                     controller.inbox.on_state(other, state)
                     controller.inbox.on_estimate(other, estimate)
             at = step_time(now_ns, period_ns, leg, 0)
-            if not one.slots.take(leg):
+            if not one.take_slot(leg):
                 at = at._replace(mode=MODE_HOLD)
             out = controller.step(at, NO_CUTOFF_NS)
             told = own.values.copy()

@@ -33,7 +33,7 @@ class NoMiddleware:
 
     def __init__(self):
         self.vehicles, self.called = {}, []
-        self.orders = self.leader = self
+        self.leader = self
 
     def __enter__(self):
         return self
