@@ -19,7 +19,6 @@ from ptnsbc_nodes.runtime.node_parameters import (
     SCENARIO,
     UAV,
     NodeParameters,
-    ReadOnlyParameter,
     overrides,
 )
 from ptnsbc_nodes.runtime.node_process import (
@@ -28,7 +27,7 @@ from ptnsbc_nodes.runtime.node_process import (
     ros_node,
     serve_managed,
 )
-from ptnsbc_nodes.runtime.scenario_parameters import Value
+from ptnsbc_nodes.runtime.scenario_parameters import DescribedValue, Value
 from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -73,8 +72,8 @@ _FIXED = (
     *SCENARIO,
     UAV,
     AUTOSTART,
-    ReadOnlyParameter("signing_key", "", "key file, instead of the scenario's"),
-    ReadOnlyParameter("allow_arming", False, "arm and take off"),
+    DescribedValue("signing_key", "", "key file, instead of the scenario's"),
+    DescribedValue("allow_arming", False, "arm and take off"),
 )
 
 
@@ -122,8 +121,7 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
         ros_context(argv),
         ros_node("bridge", namespace, make=ManagedNode, parameters=overrides(given)) as node,
     ):
-        parameters = NodeParameters(node, _FIXED, bridged=True)
-        parameters.declare_scenario(node.fixed)
+        parameters = NodeParameters(node, _FIXED, bridged=True, fixed=node.fixed)
         if not environment.prefer_punctuality():
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 

@@ -26,7 +26,7 @@ from ptnsbc_nodes.fleet.fault_injector import FaultInjector, hear_faults
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.process_list import BRIDGE, FleetOptions, chosen, commands, groups, names
 from ptnsbc_nodes.fleet.supervisor import Supervisor
-from ptnsbc_nodes.fleet.takeoff import FleetError, Report, TakeOff
+from ptnsbc_nodes.fleet.takeoff import FleetError, Launch, Report, TakeOff
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -64,7 +64,7 @@ class FleetResult:
     bag: Path | None
     recorded: Mapping[
         str, Any
-    ]  # the recorder's own summary; empty when it was killed before it had one
+    ]  # the recorder's summary; empty when it was killed before it had one
     startup_s: float  # wall time
     flight_s: float  # wall time
 
@@ -95,12 +95,17 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
     scenario_file.write_text(options.scenario.text, encoding="utf-8")
-    _prepare_kernels(options, progress)
+    # Once: otherwise a dozen processes would compile them side by side.
+    progress("preparing the laws (compiled at first use, then read from the cache)")
+    load_fleet(options.scenario)
+    for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
+        UavPlugins.of(options.scenario, uav)
+    if options.backend == "sim":
+        load_world(options.scenario)
     processes = commands(options, scenario_file)
     # With this launcher. Where other computers fly the rest, there is a launcher for each process at most.
-    count = (
-        2 * len(names(options.scenario, options.backend)) if options.shared else len(processes) + 1
-    )
+    everywhere = 2 * len(names(options.scenario, options.backend))
+    count = everywhere if options.shared else len(processes) + 1
     with StopRequest() as stop, reserved_domain() as domain, ExitStack() as stack:
         settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
@@ -120,26 +125,19 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
                 leads=options.leads,
             )
         )
-        return _fly(
-            options, processes, Crew(settings, log_dir, node.lifecycle), node, stop, progress
-        )
+        crew = Crew(settings, log_dir, node.lifecycle)
+        return _fly(Launch(options, crew, node, stop, progress), processes)
 
 
-def _fly(
-    options: FleetOptions,
-    processes: Sequence[ProcessCommand],
-    crew: Crew,
-    node: LauncherNode,
-    stop: StopRequest,
-    progress: Report,
-) -> FleetResult:
+def _fly(launch: Launch, processes: Sequence[ProcessCommand]) -> FleetResult:
+    options, crew, node, stop, progress = launch
     faults = FaultInjector(options, progress, crew.start_again)
     if options.scenario.faults is not None:
         hear_faults(node, options.scenario.uav_ids, faults.add)
-    supervisor = Supervisor(options, crew, faults, node, stop, progress)
+    supervisor = Supervisor(launch, faults)
     began = time.monotonic()
     try:
-        TakeOff(options, crew, node, stop, progress).run(processes, began + options.patience_s)
+        TakeOff(launch).run(processes, began + options.patience_s)
         took_off = time.monotonic()
         if options.leads and not stop.came:
             faults.begin(took_off + (node.leader.begins_in_s() or _EPOCH_S))
@@ -201,73 +199,58 @@ def _listed(options: FleetOptions, domain: int, progress: Report) -> Iterator[No
 
 def check_options(options: FleetOptions) -> None:
     """FleetError when the options do not go together."""
+    for objection in _objections(options):
+        raise FleetError(objection)
+
+
+def _objections(options: FleetOptions) -> Iterator[str]:
+    """The options that do not go together, and the way out."""
+    bridged, shared = options.backend == "mavlink", options.shared
     if options.namespace:
         try:
             validate_namespace(options.namespace)
         except InvalidNamespaceException as error:
-            why = " ".join(str(error).split())
-            raise FleetError(f"--namespace {options.namespace}: {why}") from None
+            yield f"--namespace {options.namespace}: {' '.join(str(error).split())}"
     if options.bag is not None and not options.leads:
-        raise FleetError(
-            f"--bag {options.bag}: the recorder is not among --only "
-            f"{','.join(sorted(options.only))}: expected it there, or no --bag on this computer"
+        only = ",".join(sorted(options.only))
+        yield (
+            f"--bag {options.bag}: the recorder is not among --only {only}: expected it there, or no --bag on this "
+            "computer"
         )
-    if options.shared and "ROS_DOMAIN_ID" not in os.environ:
-        raise FleetError(
-            "--only: the computers of a fleet find each other in one domain: expected --domain N, "
-            "the same on all of them, or ROS_DOMAIN_ID"
+    if shared and "ROS_DOMAIN_ID" not in os.environ:
+        yield (
+            "--only: the computers of a fleet find each other in one domain: expected --domain N, the same on all of "
+            "them, or ROS_DOMAIN_ID"
         )
-    _check_processes(options)
-    if options.backend != "mavlink":
-        return
-    if options.wait and options.shared:
-        raise FleetError(
+    yield from _objections_to_processes(options)
+    if bridged and options.wait and shared:
+        yield (
             "--wait: a launcher keeps the vehicles of its own computer from arming, not those of others: expected no "
             "--only with --backend mavlink"
         )
-    if options.lockstep:
-        raise FleetError(
-            "--lockstep: real vehicles do not wait for messages: expected --backend sim, or no --lockstep"
-        )
-    if not options.allow_arming:
-        raise FleetError(
-            "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a "
-            "vehicle without arming it: ptnsbc bridge"
+    if bridged and options.lockstep:
+        yield "--lockstep: real vehicles do not wait for messages: expected --backend sim, or no --lockstep"
+    if bridged and not options.allow_arming:
+        yield (
+            "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a vehicle without arming "
+            "it: ptnsbc bridge"
         )
 
 
-def _check_processes(options: FleetOptions) -> None:
-    """FleetError when UAVs that share a process must have processes of their own."""
+def _objections_to_processes(options: FleetOptions) -> Iterator[str]:
+    """Reasons why UAVs that are to share a process must have processes of their own."""
     count, most = options.processes, len(options.scenario.uav_ids)
     if count is None or count == most:
         return
+    named, without = f"--processes {count}", "expected no --processes"
     if options.scenario.security == "required":
-        raise FleetError(
-            f"--processes {count}: with security: required each UAV has an identity of its own: expected no --processes"
-        )
+        yield f"{named}: with security: required each UAV has an identity of its own: {without}"
     if not 1 <= count <= most:
-        raise FleetError(
-            f"--processes {count}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"
-        )
+        yield f"{named}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"
     if options.backend == "mavlink" or options.shared:
         other = "--only" if options.shared else "--backend mavlink"
-        raise FleetError(
-            f"--processes {count}: each UAV has a process of its own with {other}: expected no --processes"
-        )
+        yield f"{named}: each UAV has a process of its own with {other}: {without}"
     shared = {uav for group in groups(options) if len(group) > 1 for uav in group}
     for fault in options.scenario.faults or ():
         if fault.rule.strikes == PROCESS and fault.struck_uav in shared:
-            raise FleetError(
-                f"--processes {count}: {fault.text}: it would strike the other UAVs of the process as "
-                "well: expected no --processes"
-            )
-
-
-def _prepare_kernels(options: FleetOptions, progress: Report) -> None:
-    """Compile the laws once; otherwise a dozen processes would compile them side by side."""
-    progress("preparing the laws (compiled at first use, then read from the cache)")
-    load_fleet(options.scenario)
-    for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
-        UavPlugins.of(options.scenario, uav)
-    if options.backend == "sim":
-        load_world(options.scenario)
+            yield f"{named}: {fault.text}: it would strike the other UAVs of the process as well: {without}"

@@ -21,13 +21,12 @@ from pathlib import Path
 
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency.records import in_pilots_hands, last_word
-from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, end
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.fleet.process_list import BRIDGE, FleetOptions
-from ptnsbc_nodes.fleet.takeoff import Report
-from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_nodes.fleet.process_list import BRIDGE
+from ptnsbc_nodes.fleet.takeoff import Launch, Report
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 
 _LOOK_S = 0.05
@@ -40,35 +39,30 @@ _OVER_S = 3.0
 
 
 class Supervisor:
-    """Watches the processes of this computer in flight, and ends them.
+    """Watches the processes of this computer in flight, and ends them."""
 
-    Attributes:
-        died: processes that have ended before their time.
-        lost_elsewhere: UAVs that have ended on other computers.
-    """
-
-    def __init__(
-        self,
-        options: FleetOptions,
-        crew: Crew,
-        faults: FaultInjector,
-        node: LauncherNode,
-        stop: StopRequest,
-        progress: Report,
-    ) -> None:
-        self.died: list[ChildProcess] = []
-        self.lost_elsewhere: list[str] = []
-        self._options, self._crew, self._faults, self._node = options, crew, faults, node
-        self._stop, self._progress = stop, progress
+    def __init__(self, launch: Launch, faults: FaultInjector) -> None:
+        self.died: list[ChildProcess] = []  # before their time
+        self.lost_elsewhere: list[str] = []  # UAVs that have ended on other computers
+        self._options, self._crew, self._node, self._stop, self._progress = launch
+        self._faults = faults
         self._reported: set[str] = set()  # processes whose end has been reported
         self._was_led = False
         self._sim_sign: object = None  # the newest sign of life of the sim
         self._quiet_looks = 0
 
     def watch(self, duration_s: float) -> None:
-        """Return when the sim has flown the whole flight, real vehicles must land, or a signal has come."""
+        """Return when the sim has flown the whole flight, real vehicles must land, or a signal has come.
+
+        A launcher that follows returns when the one that leads says so or is gone.
+        """
         if not self._options.leads:
-            self._follow()
+            news = self._node.news
+            # A network that loses packets may introduce the topic of the end to one side only: SIM in `gone`.
+            while not (news.over or SIM in news.gone or self._stop.came or self._abandoned()):
+                self._look()
+                if all(child.exit_code is not None for child in self._crew.children):
+                    return
             return
         begin_s = time.monotonic() + self._node.leader.begins_in_s() + _AFTER_START_S
         bridged = self._options.backend == "mavlink"
@@ -77,17 +71,6 @@ class Supervisor:
             if time.monotonic() > begin_s:
                 self._end_silent_sim()
             if bridged and time.monotonic() > begin_s + duration_s:
-                return
-
-    def _follow(self) -> None:
-        """Return when the launcher that leads says so or is gone, when the sim has ended, or when a signal has come."""
-        news = self._node.news
-        while not (news.over or self._stop.came or self._abandoned()):
-            self._look()
-            # A network that loses packets may introduce the topic of the end to one side only.
-            if SIM in news.gone:
-                return
-            if all(child.exit_code is not None for child in self._crew.children):
                 return
 
     def _abandoned(self) -> bool:
@@ -145,9 +128,11 @@ class Supervisor:
     def _report_exits(self) -> None:
         """Report every process that has ended before its time; the others fly on without it."""
         for child in self._crew.children:
-            if child.exit_code is None or child.name in self._reported:
-                continue
-            if self._faults.comes_back(child):
+            if (
+                child.exit_code is None
+                or child.name in self._reported
+                or self._faults.comes_back(child)
+            ):
                 continue
             self._reported.add(child.name)
             if child.command.beside:

@@ -11,7 +11,8 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 from std_srvs.srv import Trigger
 
@@ -41,30 +42,28 @@ class FleetError(PtnsbcError):
     """A fleet that could not take off."""
 
 
+class Launch(NamedTuple):
+    """One flight of a launcher: what is flown, by which processes, and who says what of it."""
+
+    options: FleetOptions
+    crew: Crew
+    node: LauncherNode
+    stop: StopRequest
+    progress: Report
+
+
 class TakeOff:
     """The start of the processes of this computer, and of the flight where this computer leads."""
 
-    def __init__(
-        self,
-        options: FleetOptions,
-        crew: Crew,
-        node: LauncherNode,
-        stop: StopRequest,
-        progress: Report,
-    ) -> None:
-        self._options, self._crew, self._node = options, crew, node
-        self._stop, self._progress = stop, progress
-        self._check = FlightCheck(options, node)
-        self._introduction = Introduction(crew, node, progress)
+    def __init__(self, launch: Launch) -> None:
+        self._options, self._crew, self._node, self._stop, self._progress = launch
+        self._check = FlightCheck(self._options, self._node)
+        self._introduction = Introduction(launch)
         self._refusal: str | None = "/formation/start was not called"
         self._reminder_s = time.monotonic() + _REMINDER_S
 
     def run(self, commands: Sequence[ProcessCommand], deadline: float) -> None:
         """Start all processes, a few at a time, wait until all are ready, and start the flight.
-
-        Args:
-            commands: of the processes of this computer, in the order of their start.
-            deadline: by the monotonic clock [s].
 
         Raises:
             FleetError: a process has ended or refuses, the deadline is over, or dry runs speak against the flight.
@@ -90,14 +89,19 @@ class TakeOff:
 
     def _start_flight(self, deadline: float) -> None:
         check = self._check
-        while check.holds and not check.located() and self._wait(deadline):
+        while check.holds and check.lost() and self._wait(deadline):
             pass
         if check.holds and not self._stop.came:
             if objection := check.before_arming():
                 raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
             if self._options.objection is not None:
                 self._progress("dry runs from where the vehicles stand are met: they may arm")
-            deadline += self._wait_for_arming()
+            began_s = time.monotonic()
+            if self._options.wait:
+                self._progress("the vehicles arm when an operator calls /formation/arm")
+                while not check.may_arm and self._wait(math.inf):
+                    pass
+            deadline += time.monotonic() - began_s
             check.release()
         while self._missing() and self._wait(deadline):
             pass
@@ -127,15 +131,6 @@ class TakeOff:
         self._node.status.mute()
         while by_clock and not leader.begun and self._wait(deadline):
             pass
-
-    def _wait_for_arming(self) -> float:
-        """Wait until an operator lets the vehicles arm, if one does; returns for how long [s]."""
-        began = time.monotonic()
-        if self._options.wait:
-            self._progress("the vehicles arm when an operator calls /formation/arm")
-            while not self._check.may_arm and self._wait(math.inf):
-                pass
-        return time.monotonic() - began
 
     def _missing(self) -> dict[str, str]:
         """The processes that must be ready before the flight and are not, and what each waits for."""
@@ -173,10 +168,8 @@ class TakeOff:
                     "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
                 )
         if time.monotonic() > deadline:
-            late = self._missing()
-            tails = [
-                c.tail() for c in self._crew.children if late.keys() & set(c.command.reporters)
-            ]
+            late, children = self._missing(), self._crew.children
+            tails = [c.tail() for c in children if late.keys() & set(c.command.reporters)]
             first = [f"not ready in time: {', '.join(late)}"] if late else []
             raise FleetError("\n".join([*first, self._waiting_for(), *tails[:1]]))
         if self._options.shared and time.monotonic() > self._reminder_s:
@@ -203,8 +196,7 @@ class FlightCheck:
     """
 
     def __init__(self, options: FleetOptions, node: LauncherNode) -> None:
-        self.may_arm = False
-        """True once an operator has called /formation/arm, and it was accepted."""
+        self.may_arm = False  # an operator has called /formation/arm, and it was accepted
         self._options, self._node = options, node
         self._judged: dict[int, tuple[float, ...]] = {}  # places from which it may begin
         self._met = False  # nothing speaks against arming
@@ -235,10 +227,6 @@ class FlightCheck:
         """True if vehicles are kept from arming until `before_arming`."""
         return bool(self._node.lifecycle.held)
 
-    def located(self) -> bool:
-        """True if all bridges know where their vehicles are."""
-        return not self._lost()
-
     def refusal(self) -> str:
         """The reason why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
         if self._options.backend != "mavlink":
@@ -247,7 +235,7 @@ class FlightCheck:
             return "the vehicles arm by themselves: with --wait the fleet leaves it to an operator"
         if not self.holds:
             return "the vehicles may arm already"
-        lost, vehicles = self._lost(), self._node.status.vehicles
+        lost, vehicles = self.lost(), self._node.status.vehicles
         if lost:
             steps = (f"{n}: {vehicles[n].step if n in vehicles else 'not heard'}" for n in lost)
             return "; ".join(steps)
@@ -282,7 +270,7 @@ class FlightCheck:
         )
         return "" if same else self._objection(places)
 
-    def _lost(self) -> list[str]:
+    def lost(self) -> list[str]:
         """Bridges that do not know where their vehicle is."""
         from ptnsbc_nodes.bridge.procedure.steps import OVER, Step  # needs pymavlink
 
@@ -305,14 +293,13 @@ def measured_positions(
     """Measured positions (3,) [m], ENU, in real time; without the UAVs that publish none in this time."""
     places: dict[int, tuple[float, ...]] = {}
 
-    def keep(uav: int) -> Callable[[Stamped], None]:
-        def on_odometry(message: Stamped) -> None:
-            places[uav] = tuple(float(number) for number in message.values[:3])
-
-        return on_odometry
+    def keep(uav: int, odometry: Stamped) -> None:
+        places[uav] = tuple(map(float, odometry.values[:3]))
 
     heard = [
-        node.endpoints.listen(topics.odom(uav), decode_odometry, keep(uav), False, STATE_REALTIME)
+        node.endpoints.listen(
+            topics.odom(uav), decode_odometry, partial(keep, uav), False, STATE_REALTIME
+        )
         for uav in uav_ids
     ]
     deadline = time.monotonic() + patience_s
@@ -326,8 +313,8 @@ def measured_positions(
 class Introduction:
     """Notices processes that a discovery server has left out for good, and has them introduced once more."""
 
-    def __init__(self, crew: Crew, node: LauncherNode, progress: Report) -> None:
-        self._crew, self._node, self._progress = crew, node, progress
+    def __init__(self, launch: Launch) -> None:
+        self._crew, self._node, self._progress = launch.crew, launch.node, launch.progress
         self._introduced_s: dict[str, float] = {}  # since when processes have been heard
         self._running_s: dict[str, float] = {}  # since when processes have loaded
         self._restarts: Counter[str] = Counter()

@@ -10,7 +10,7 @@ import difflib
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -24,10 +24,15 @@ from rclpy.parameter import Parameter
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.comm.seal import seal_of
-from ptnsbc_nodes.runtime.scenario_parameters import OF_SOME_NODES, ScenarioParameter, Value, leaves
+from ptnsbc_nodes.runtime.scenario_parameters import (
+    OF_SOME_NODES,
+    DescribedValue,
+    Value,
+    is_of_scenario,
+    leaves,
+)
 from ptnsbc_nodes.security.middleware import check_enforced
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.model import ScenarioFile
 
 SIM_TIME = "use_sim_time"
 _OF_RCLPY = ("start_type_description_service",)
@@ -35,36 +40,21 @@ _OF_QOS = "qos_overrides."
 _LARGEST = sys.float_info.max
 _INTEGERS = (-(2**63), 2**63 - 1)
 
+SCENARIO = (
+    DescribedValue("scenario", "", "scenario file, or name of a built-in"),
+    DescribedValue("scenario_text", "", "the scenario itself, instead of a file"),
+    DescribedValue("lockstep", False, "tick with the simulation, not with the clock"),
+    DescribedValue("recorded", False, "be ready only when a recorder listens"),
+)
+UAV = DescribedValue("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
+BRIDGED = DescribedValue("bridged", False, "flight controllers fly, there is no sim")
+AUTOSTART = DescribedValue("autostart", True, "configure and activate without being asked")
+FIXED = "fixed since the node was configured; clean it up first"
+"""The reason why a value of the scenario may not change."""
+
 
 class ScenarioParameterError(PtnsbcError):
     """A parameter that a process cannot be started with."""
-
-
-class ReadOnlyParameter(NamedTuple):
-    """A read-only parameter."""
-
-    name: str
-    default: Value
-    description: str
-    low: float = -math.inf
-    high: float = math.inf
-
-    def leaf(self, value: Value) -> ScenarioParameter:
-        """The parameter with this value."""
-        return ScenarioParameter(self.name, value, self.description, self.low, self.high, "")
-
-
-SCENARIO = (
-    ReadOnlyParameter("scenario", "", "scenario file, or name of a built-in"),
-    ReadOnlyParameter("scenario_text", "", "the scenario itself, instead of a file"),
-    ReadOnlyParameter("lockstep", False, "tick with the simulation, not with the clock"),
-    ReadOnlyParameter("recorded", False, "be ready only when a recorder listens"),
-)
-UAV = ReadOnlyParameter("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
-FIXED = "fixed since the node was configured; clean it up first"
-"""The reason why a value of the scenario may not change."""
-BRIDGED = ReadOnlyParameter("bridged", False, "flight controllers fly, there is no sim")
-AUTOSTART = ReadOnlyParameter("autostart", True, "configure and activate without being asked")
 
 
 def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
@@ -77,49 +67,51 @@ def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
 
 
 class NodeParameters:
-    """Declares the parameters of one node, which must have declared every parameter that it was given.
+    """The parameters of one node: those that define the flight, and every single value of the scenario.
+
+    Args:
+        node: Must have declared every parameter that it was given.
+        read_only: Those that define the flight, with their defaults.
+        bridged: Flight controllers fly, whatever the parameters say.
+        fixed: Tells why a value of the scenario may not change any more; empty while it may.
 
     Raises:
-        ParameterError: a value of the wrong type, out of its range, or for another kind of node.
+        ParameterError: a value of the wrong type, out of its range, for another kind of node, or of none.
         ScenarioError: the scenario cannot be read with these values.
     """
 
     def __init__(
-        self, node: Node, fixed: Sequence[ReadOnlyParameter], *, bridged: bool = False
+        self,
+        node: Node,
+        read_only: Sequence[DescribedValue],
+        *,
+        bridged: bool = False,
+        fixed: Callable[[], str] = lambda: FIXED,
     ) -> None:
-        self._node = node
-        self._read_only = fixed
-        self._bridged = bridged
-        self._given = {
+        self._node, self._bridged, self._fixed = node, bridged, fixed
+        given = {
             name: _plain(parameter.value)
             for name, parameter in node.get_parameters_by_prefix("").items()
         }
-        for one in fixed:
-            self._declare(one.leaf(self._value(one.name, one.default)), read_only=True)
-        self._changed = {
-            key: value
-            for key, value in self._given.items()
-            if key.partition(".")[0] in ScenarioFile.model_fields
-        }
+        for one in read_only:
+            self._declare(one.with_value(given.get(one.key, one.value)), read_only=True)
+        self._changed = {key: value for key, value in given.items() if is_of_scenario(key)}
         self.scenario = self._read({})
-        self.uav = self._uav() if UAV in fixed else 0
-
-    def declare_scenario(self, fixed: Callable[[], str] = lambda: FIXED) -> None:
-        """Declare every single value of the scenario, and refuse parameters that the node does not know.
-
-        Args:
-            fixed: tells why a value may not change any more; empty while it may.
-        """
-        self._fixed = fixed
+        self.uav = self._find_uav() if UAV in read_only else 0
+        known = {SIM_TIME, *_OF_RCLPY, *OF_SOME_NODES, *(one.key for one in read_only)}
         for leaf in leaves(self.scenario):
+            known.add(leaf.key)
             self._declare(leaf, read_only=False)
-        for key in self._changed.keys() - {leaf.key for leaf in leaves(self.scenario)}:
-            # A value below an id.
+        for key in self._changed.keys() - known:  # a value below an id
             about = ParameterDescriptor(description=f"{key} of the scenario", read_only=True)
-            self._node.undeclare_parameter(key)
-            self._node.declare_parameter(key, self._changed[key], about, ignore_override=True)
-        self._refuse_unknown()
-        self._node.add_on_set_parameters_callback(self._on_set)
+            node.undeclare_parameter(key)
+            node.declare_parameter(key, self._changed[key], about, ignore_override=True)
+        for name in given.keys() - known - self._changed.keys():
+            if not name.startswith(_OF_QOS):
+                near = difflib.get_close_matches(name, known | self._changed.keys(), n=1)
+                hint = f": perhaps {near[0]}" if near else ""
+                raise ScenarioParameterError(f"parameter {name}: this node has none{hint}")
+        node.add_on_set_parameters_callback(self._on_set)
 
     def __getitem__(self, name: str) -> Any:
         """The value of a declared parameter."""
@@ -136,37 +128,28 @@ class NodeParameters:
     def _is_bridged(self) -> bool:
         return self._bridged or bool(self._node.has_parameter("bridged") and self["bridged"])
 
-    def _value(self, name: str, default: Value) -> Value:
-        value = self._given.get(name, default)
-        if isinstance(default, float) and type(value) is int:
-            value = float(value)
-        if type(value) is not type(default):
-            raise ScenarioParameterError(
-                f"parameter {name}: {value!r}: expected {type(default).__name__}"
-            )
-        return value
-
-    def _declare(self, leaf: ScenarioParameter, *, read_only: bool) -> None:
-        if not isinstance(leaf.value, str | list) and not leaf.low <= leaf.value <= leaf.high:
-            raise ScenarioParameterError(
-                f"parameter {leaf.key}: {leaf.value}: expected {leaf.low:g} to {leaf.high:g}"
-            )
+    def _declare(self, parameter: DescribedValue, *, read_only: bool) -> None:
+        key, value, low, high = parameter.key, parameter.value, parameter.low, parameter.high
+        if not isinstance(value, str | list) and not low <= value <= high:
+            raise ScenarioParameterError(f"parameter {key}: {value}: expected {low:g} to {high:g}")
+        about = ParameterDescriptor(
+            description=parameter.description,
+            additional_constraints=parameter.rule,
+            read_only=read_only,
+        )
+        if (low, high) != (-math.inf, math.inf) and type(value) is float:
+            low, high = max(low, -_LARGEST), min(high, _LARGEST)
+            about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        elif (low, high) != (-math.inf, math.inf) and type(value) is int:
+            ends = zip((low, high), _INTEGERS, strict=True)
+            low_int, high_int = (int(end) if math.isfinite(end) else last for end, last in ends)
+            about.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
         # A given parameter is declared already, without description and range.
-        if self._node.has_parameter(leaf.key):
-            self._node.undeclare_parameter(leaf.key)
-        about = descriptor(leaf, read_only=read_only)
-        self._node.declare_parameter(leaf.key, leaf.value, about, ignore_override=True)
+        if self._node.has_parameter(key):
+            self._node.undeclare_parameter(key)
+        self._node.declare_parameter(key, value, about, ignore_override=True)
 
-    def _refuse_unknown(self) -> None:
-        known = {SIM_TIME, *_OF_RCLPY, *OF_SOME_NODES, *(one.name for one in self._read_only)}
-        known |= {leaf.key for leaf in leaves(self.scenario)} | self._changed.keys()
-        for name in self._given.keys() - known:
-            if not name.startswith(_OF_QOS):
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f": perhaps {near[0]}" if near else ""
-                raise ScenarioParameterError(f"parameter {name}: this node has none{hint}")
-
-    def _uav(self) -> int:
+    def _find_uav(self) -> int:
         last = self._node.get_namespace().rpartition("/")[2].removeprefix("uav")
         uav = int(self["uav"]) or (int(last) if last.isdecimal() else 0)
         if uav == 0:
@@ -189,43 +172,25 @@ class NodeParameters:
         return read.bridged() if self._is_bridged else read
 
     def _on_set(self, parameters: Iterable[Parameter]) -> SetParametersResult:
-        if code := [p.name for p in parameters if p.name == "law" or p.name.startswith("plugins.")]:
-            reason = f"{code[0]}: names a file to execute: give it in the scenario file"
-            return SetParametersResult(successful=False, reason=reason)
-        changes = {p.name: _plain(p.value) for p in parameters if self._of_scenario(p.name)}
+        reason = self._refusal({p.name: _plain(p.value) for p in parameters})
+        return SetParametersResult(successful=not reason, reason=reason)
+
+    def _refusal(self, given: Mapping[str, Any]) -> str:
+        """Take values; the reason why they are refused, empty when they are taken."""
+        for name in given:
+            if name == "law" or name.startswith("plugins."):
+                return f"{name}: names a file to execute: give it in the scenario file"
+        changes = {name: value for name, value in given.items() if is_of_scenario(name)}
         # rclpy would move a flying node to another time.
-        if not changes and all(p.name != SIM_TIME for p in parameters):
-            return SetParametersResult(successful=True)
-        if reason := self._fixed():
-            return SetParametersResult(successful=False, reason=reason)
-        if not changes:
-            return SetParametersResult(successful=True)
-        try:
-            self.scenario = self._read(changes)
-        except PtnsbcError as error:
-            return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
-        self._changed.update(changes)
-        return SetParametersResult(successful=True)
-
-    def _of_scenario(self, name: str) -> bool:
-        return name.partition(".")[0] in ScenarioFile.model_fields
-
-
-def descriptor(leaf: ScenarioParameter, *, read_only: bool) -> ParameterDescriptor:
-    """The text that `ros2 param describe` shows of a value."""
-    about = ParameterDescriptor(
-        description=leaf.description, additional_constraints=leaf.rule, read_only=read_only
-    )
-    if (leaf.low, leaf.high) == (-math.inf, math.inf):
-        return about
-    if type(leaf.value) is float:
-        low, high = max(leaf.low, -_LARGEST), min(leaf.high, _LARGEST)
-        about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-    elif type(leaf.value) is int:
-        ends = zip((leaf.low, leaf.high), _INTEGERS, strict=True)
-        low_int, high_int = (int(end) if math.isfinite(end) else last for end, last in ends)
-        about.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
-    return about
+        if (changes or SIM_TIME in given) and (reason := self._fixed()):
+            return reason
+        if changes:
+            try:
+                self.scenario = self._read(changes)
+            except PtnsbcError as error:
+                return " ".join(str(error).split())
+            self._changed.update(changes)
+        return ""
 
 
 def _plain(value: Any) -> Any:

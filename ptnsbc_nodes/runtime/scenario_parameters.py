@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import chain
+from textwrap import indent
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import yaml
@@ -30,74 +32,71 @@ _OF_NODES = (
 _TEXT = "scenario_text"
 
 
-class ScenarioParameter(NamedTuple):
-    """One value, by its dotted key."""
+class DescribedValue(NamedTuple):
+    """One parameter: its value, and what `ros2 param describe` tells of it."""
 
-    key: str  # as for `--set`
+    key: str  # dotted, as for `--set`
     value: Value | Numbers
     description: str
-    low: float  # -inf without a limit
-    high: float  # inf without a limit
-    rule: str  # limits that a range cannot express: open ends, choices
+    low: float = -math.inf
+    high: float = math.inf
+    rule: str = ""  # limits that a range cannot express: open ends, choices
+
+    def with_value(self, value: Any) -> DescribedValue:
+        """The same with another value; ScenarioError for one of another type."""
+        if isinstance(self.value, float) and type(value) is int:
+            value = float(value)
+        if type(value) is not type(self.value):
+            expected = type(self.value).__name__
+            raise ScenarioError(f"parameter {self.key}: {value!r}: expected {expected}")
+        return self._replace(value=value)
 
 
-def leaves(scenario: Scenario) -> Iterator[ScenarioParameter]:
-    """All single values, in the order of the file, with defaults filled in."""
-    return _below("", scenario)
+def is_of_scenario(key: str) -> bool:
+    """True if a parameter of this name is a value of the scenario."""
+    return key.partition(".")[0] in ScenarioFile.model_fields
 
 
-def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:
+def leaves(block: BaseModel, prefix: str = "") -> Iterator[DescribedValue]:
+    """All single values of a scenario, in the order of the file, with defaults filled in."""
     kind = ScenarioFile if isinstance(block, ScenarioFile) else type(block)
     about = " ".join((kind.__doc__ or "").split())
     for name, field in kind.model_fields.items():
         value, key = getattr(block, name), prefix + name
         if isinstance(value, BaseModel):
-            yield from _below(f"{key}.", value)
+            yield from leaves(value, f"{key}.")
             continue
-        numbers = _numbers(value)
-        if numbers is not None or isinstance(value, Value):
-            description = field.description or f"{name}, of: {about}"
-            shown = value if numbers is None else numbers
-            yield ScenarioParameter(key, shown, description, *_limits(field))
+        if isinstance(value, tuple) and value and {*map(type, value)} <= {int, float}:
+            # ROS takes a list of integers, or of floats.
+            value = list(value if {*map(type, value)} == {int} else map(float, value))
+        elif not isinstance(value, Value):
+            continue
+        description = field.description or f"{name}, of: {about}"
+        yield DescribedValue(key, value, description, *_limits(field))
 
 
-def _numbers(value: Any) -> Numbers | None:
-    """A tuple of numbers as the list that ROS takes: all integers, or all floats."""
-    if not isinstance(value, tuple) or not value:
-        return None
-    if all(type(one) is int for one in value):
-        return list(value)
-    return (
-        [float(one) for one in value] if all(type(one) in (int, float) for one in value) else None
-    )
+_ENDS = {"gt": "more than", "lt": "less than", "ge": "", "le": ""}
 
 
 def _limits(field: FieldInfo) -> tuple[float, float, str]:
     """Least and largest value, and in words the limits that these two cannot express."""
     low, high, rules = -math.inf, math.inf, []
-    for limit in _constraints(field):
-        for name, words in (("gt", "more than"), ("lt", "less than")):
-            if getattr(limit, name, None) is not None:
-                rules.append(f"{words} {getattr(limit, name):g}")
-        low = max(low, *_bounds(limit, "gt", "ge", low))
-        high = min(high, *_bounds(limit, "lt", "le", high))
+    inside = (getattr(part, "__metadata__", ()) for part in get_args(field.annotation))
+    for limit in (*field.metadata, *chain.from_iterable(inside)):  # those of `... | None` as well
+        for name, words in _ENDS.items():
+            end = getattr(limit, name, None)
+            if end is None:
+                continue
+            if words:
+                rules.append(f"{words} {end:g}")
+            if name in ("gt", "ge"):
+                low = max(low, float(end))
+            else:
+                high = min(high, float(end))
     choices = _choices(field.annotation)
     if choices:
         rules.append(f"one of: {', '.join(choices)}")
     return low, high, "; ".join(rules)
-
-
-def _constraints(field: FieldInfo) -> Iterator[Any]:
-    """The limits of a field, and those inside `... | None`."""
-    yield from field.metadata
-    for part in get_args(field.annotation):
-        yield from getattr(part, "__metadata__", ())
-
-
-def _bounds(limit: Any, open_end: str, closed_end: str, default: float) -> tuple[float, float]:
-    ends = (getattr(limit, name, None) for name in (open_end, closed_end))
-    first, second = (default if end is None else float(end) for end in ends)
-    return first, second
 
 
 def _choices(annotation: Any) -> tuple[str, ...]:
@@ -122,9 +121,12 @@ def parameter_file(scenario: Scenario) -> str:
         f"# {scenario.name} as ROS parameters, for all its nodes: --ros-args --params-file THIS",
         "/**:",
         "  ros__parameters:",
-        _indented("scenario_text: |", 4),
-        _indented(dump(rest), 6),
-        _indented(yaml.safe_dump(named, sort_keys=False, allow_unicode=True, width=10**6), 4),
+        indent("scenario_text: |", 4 * " "),
+        indent(dump(rest).rstrip("\n"), 6 * " "),
+        indent(
+            yaml.safe_dump(named, sort_keys=False, allow_unicode=True, width=10**6).rstrip("\n"),
+            4 * " ",
+        ),
     ]
     return "\n".join(parts) + "\n"
 
@@ -139,32 +141,27 @@ class GivenParameters(NamedTuple):
 def given_parameters(text: str, source: str) -> GivenParameters:
     """The scenario in a ROS parameter file, as `parameter_file` or `ros2 param dump` writes one.
 
-    What a launcher tells each of its processes by itself, such as `uav` or `lockstep`, is passed over.
-
-    Args:
-        text: The file.
-        source: Its name, for messages.
+    What a launcher tells each of its processes by itself, such as `uav` or `lockstep`, is passed over. `source` is the
+    name of the file, for messages.
 
     Raises:
         ScenarioError: it is no parameter file, a key is unknown, or two nodes have different values.
     """
     found: dict[str, Any] = {}
-    nodes = parse(text, source)
-    for node, block in nodes.items():
+    for node, block in parse(text, source).items():
         values = block.get("ros__parameters") if isinstance(block, dict) else None
         if not isinstance(values, dict):
             raise ScenarioError(f"{source}: {node}: expected ros__parameters with values below")
         for key, value in _flat("", values):
-            if key.partition(".")[0] not in (*ScenarioFile.model_fields, *_OF_NODES, _TEXT):
+            if not is_of_scenario(key) and key.partition(".")[0] not in (*_OF_NODES, _TEXT):
                 raise ScenarioError(f"{source}: {node}: {key}: no parameter of a fleet's nodes")
             if found.setdefault(key, value) != value:
                 raise ScenarioError(
                     f"{source}: {node}: {key}: {value!r}, but another node has {found[key]!r}: expected "
                     "one value, because all processes of a flight must agree"
                 )
-    whole = str(found.pop(_TEXT, ""))
-    values = {key: value for key, value in found.items() if key.partition(".")[0] not in _OF_NODES}
-    return GivenParameters(values, whole)
+    values = {key: value for key, value in found.items() if is_of_scenario(key)}
+    return GivenParameters(values, str(found.get(_TEXT, "")))
 
 
 def _flat(prefix: str, tree: dict[Any, Any]) -> Iterator[tuple[str, Any]]:
@@ -184,7 +181,3 @@ def _remove(tree: Any, keys: list[str]) -> None:
         _remove(tree[first], others)
     if not others or tree[first] == {}:
         del tree[first]
-
-
-def _indented(text: str, spaces: int) -> str:
-    return "\n".join(" " * spaces + line for line in text.splitlines())

@@ -38,7 +38,6 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     )
     with ros_context(argv), ros_node("sim", "", parameters=given) as node:
         settings = node_parameters.NodeParameters(node, node_parameters.SCENARIO)
-        settings.declare_scenario()
         if node.get_parameter("use_sim_time").value:
             raise node_parameters.ScenarioParameterError(
                 "parameter use_sim_time: true: expected false, because the sim publishes the time"

@@ -6,14 +6,9 @@ import argparse
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from functools import partial
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
-
-if TYPE_CHECKING:
-    from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-    from ptnsbc_nodes.runtime.node_parameters import NodeParameters
-    from ptnsbc_nodes.runtime.node_process import ProcessLifetime
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,13 +36,24 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
+    from ptnsbc_nodes.comm.graph import CommunicationGraph
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.runtime import node_parameters as ros_parameters
+    from ptnsbc_nodes.runtime import node_parameters as parameters
     from ptnsbc_nodes.runtime import node_process as processes
+    from ptnsbc_nodes.runtime.launcher import PARENT
     from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
     from ptnsbc_nodes.runtime.warmup import load_agent
+    from ptnsbc_nodes.uav.uav_node import UavNode
 
     lifetime = processes.ProcessLifetime()
+    # A launcher ends its processes in order; one that was started by hand would outlive the flight.
+    on_abandoned = (lambda: None) if PARENT in os.environ else lifetime.end
+    fixed = (*parameters.SCENARIO, parameters.UAV, parameters.BRIDGED, parameters.AUTOSTART)
+
+    def configured(node: ManagedNode, settings: parameters.NodeParameters) -> UavNode:
+        graph = CommunicationGraph(settings.scenario, settings.options)
+        return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
+
     with ExitStack() as stack:
         stack.enter_context(processes.ros_context(argv))
         nodes: list[ManagedNode] = []
@@ -60,16 +66,14 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
                 "bridged": arguments.bridged,
             }
             namespace = arguments.fleet + ("" if uav is None else f"/uav{uav}")
-            overrides = ros_parameters.overrides(given)
+            overrides = parameters.overrides(given)
             made = processes.ros_node(
                 "controller", namespace, make=ManagedNode, parameters=overrides
             )
-            node = stack.enter_context(made)
-            fixed = (ros_parameters.UAV, ros_parameters.BRIDGED, ros_parameters.AUTOSTART)
-            settings = ros_parameters.NodeParameters(node, (*ros_parameters.SCENARIO, *fixed))
-            settings.declare_scenario(node.fixed)
+            node: ManagedNode = stack.enter_context(made)
+            settings = parameters.NodeParameters(node, fixed, fixed=node.fixed)
             load_agent(settings.scenario, settings.uav)
-            _assign(node, settings, lifetime)
+            node.assign(partial(configured, node, settings), lifetime.end)
             nodes.append(node)
         if settings.options.lockstep:
             environment.prefer_throughput()
@@ -77,22 +81,6 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_punctuality()
         autostart = settings["autostart"] and not arguments.managed
         return processes.serve_managed(nodes, lifetime, autostart=autostart)
-
-
-def _assign(node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifetime) -> None:
-    """The work of the node of one UAV."""
-    from ptnsbc_nodes.comm.graph import CommunicationGraph
-    from ptnsbc_nodes.runtime.launcher import PARENT
-    from ptnsbc_nodes.uav.uav_node import UavNode
-
-    def configure() -> UavNode:
-        graph = CommunicationGraph(settings.scenario, settings.options)
-        # A launcher ends its processes in order; one that was started by hand would outlive the flight.
-        watched = PARENT in os.environ
-        on_abandoned = (lambda: None) if watched else lifetime.end
-        return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
-
-    node.assign(configure, lifetime.end)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.fleet.supervisor import Supervisor, report_armed
+from ptnsbc_nodes.fleet.takeoff import Launch
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
@@ -39,7 +40,7 @@ def supervisor_of(options, node, children=(), stop=None, progress=print):
     crew = Crew({}, Path(), node)
     crew.children.extend(children)
     faults = FaultInjector(options, progress, crew.start_again)
-    return Supervisor(options, crew, faults, node, stop, progress)
+    return Supervisor(Launch(options, crew, node, stop, progress), faults)
 
 
 def kill(children, _patience_s=0.0):

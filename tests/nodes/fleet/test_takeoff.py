@@ -12,7 +12,7 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.fleet import child_process, takeoff
 from ptnsbc_nodes.fleet.child_process import Crew, ProcessCommand
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.takeoff import SAME_M, FleetError, FlightCheck, TakeOff
+from ptnsbc_nodes.fleet.takeoff import SAME_M, FleetError, FlightCheck, Launch, TakeOff
 from ptnsbc_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("experiment_4")
@@ -108,13 +108,13 @@ def test_a_refused_flight_keeps_all_vehicles_from_arming():
 def test_every_bridge_must_know_where_its_vehicle_is():
     vehicles = Vehicles()
     check = check_of(vehicles, judge()[0])
-    assert check.located()
+    assert not check.lost()
     vehicles.vehicles["bridge3"] = vehicle(Step.STATE)
-    assert not check.located()
+    assert check.lost()
     vehicles.vehicles["bridge3"] = vehicle(Step.READY)  # of another computer, which holds nothing
-    assert check.located()
+    assert not check.lost()
     del vehicles.places["bridge3"]
-    assert not check.located()
+    assert check.lost()
 
 
 def test_in_the_air_a_flight_is_judged_again_only_from_other_places():
@@ -176,7 +176,7 @@ def test_without_dry_runs_too_vehicles_wait_for_their_operator():
 def launched(vehicles, judges, look=lambda _: None, **more):
     options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
     stop, said = SimpleNamespace(came=False), []
-    take_off = TakeOff(options, Crew({}, None, vehicles), vehicles, stop, said.append)
+    take_off = TakeOff(Launch(options, Crew({}, None, vehicles), vehicles, stop, said.append))
 
     def wait(_deadline):
         look(take_off)
@@ -234,7 +234,7 @@ def renewed(monkeypatch):
     def renewed(network: Network, *names: str, looks: int = 1) -> tuple[list[str], list[str]]:
         """The steps taken about processes that have loaded, and the arguments of those started again."""
         crew = Crew({}, None, network)
-        introduction = takeoff.Introduction(crew, network, lambda _: None)
+        introduction = takeoff.Introduction(Launch(None, crew, network, None, lambda _: None))
         started: list[str] = []
         monkeypatch.setattr(takeoff, "end", lambda ended: network.done.append(ended[0].name))
 
@@ -304,4 +304,4 @@ def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(ru
     crew = Crew({}, None, node.lifecycle)
     crew.children.append(child)
     with pytest.raises(FleetError, match=says):
-        TakeOff(options, crew, node, stop, print).run([], math.inf)
+        TakeOff(Launch(options, crew, node, stop, print)).run([], math.inf)

@@ -37,8 +37,7 @@ def told(ros):
             automatically_declare_parameters_from_overrides=True,
             cli_args=["--ros-args", *ros_args],
         )
-        parameters = NodeParameters(node, FIXED)
-        parameters.declare_scenario(lambda: fixed)
+        parameters = NodeParameters(node, FIXED, fixed=lambda: fixed)
         return node, parameters
 
     return make
@@ -47,7 +46,7 @@ def told(ros):
 def test_what_is_fixed_is_read_only_and_described(told):
     node, parameters = told()
     for one in FIXED:
-        about = node.describe_parameter(one.name)
+        about = node.describe_parameter(one.key)
         assert about.read_only
         assert about.description == one.description
     assert (parameters.uav, parameters["autostart"]) == (3, True)

@@ -73,7 +73,6 @@ def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
         cli_args=["--ros-args", "--params-file", str(file), "-p", "gains.hold.gain_1_s:=0.75"],
     )
     told = NodeParameters(node, (*SCENARIO, UAV))
-    told.declare_scenario()
     changed = load_scenario(name, {"gains.hold.gain_1_s": 0.75})
     assert (told.uav, told.scenario) == (2, changed)
 
@@ -99,7 +98,6 @@ def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
         cli_args=["--ros-args", "--params-file", str(file)],
     )
     told = NodeParameters(node, (*SCENARIO, UAV))
-    told.declare_scenario()
     assert (told.uav, told.scenario.gains.hold.gain_1_s) == (uav, gain)
     assert (told.scenario.communication.parent(2), told.scenario.communication.parent(20)) == (1, 2)
 
