@@ -8,8 +8,7 @@ slashes included.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
 from ptnsbc_nodes.comm import topics
@@ -21,162 +20,138 @@ from ptnsbc_sim.scenario.slots import are_open
 VERSION = "0.2.0"
 FLEET, OPERATOR = "fleet", "operator"
 """Enclaves of the launcher, and of what an operator runs beside it: `ptnsbc stop`, `view`, `inject`, ros2, RViz."""
-
 _OPERATORS_NODES = ("operator*", "stop_*", "mission_*", "inject_*", "view*", "_ros2cli*")
+_ORDERS = (topics.REQUEST, topics.LOST, topics.EMERGENCY, topics.FAULT)
 
 
-@dataclass
-class Enclave:
-    """One process of a fleet, and what it may use, by names of ROS.
+class Enclave(NamedTuple):
+    """One process of a fleet, and what it may use: topics, and names of ROS, below the fleet unless they begin with /.
 
-    Attributes:
-        fleet: namespace of the fleet, "/blue", or empty.
-        name: of the process.
-        nodes: its nodes below the fleet.
+    Every node also has parameters, a life cycle, a log and a status.
     """
 
-    fleet: str
     name: str
     nodes: tuple[str, ...]
-    publish: list[str] = field(default_factory=list)
-    subscribe: list[str] = field(default_factory=list)
-    reply: list[str] = field(default_factory=list)  # services that it offers
-    request: list[str] = field(default_factory=list)  # services that it calls
-
-    def __post_init__(self) -> None:
-        """Every node has parameters, a life cycle, a log and a status."""
-        self.publish += ["/rosout", "/parameter_events"]
-        self.subscribe += ["/parameter_events"]
-        self.publish += [f"{self.fleet}/{node}/transition_event" for node in self.nodes]
-        self.reply += [f"{self.fleet}/{node}/*" for node in self.nodes]
-        self.allow("publish", topics.DIAGNOSTICS, topics.READY)
-        self.allow("subscribe", topics.LOST, topics.CLOCK)
-
-    @property
-    def path(self) -> str:
-        """Of its artifacts in the keystore, "/blue/uav1"; a process is started with `--enclave` and this."""
-        return f"{self.fleet}/{self.name}"
-
-    def allow(self, rule: Literal["publish", "subscribe"], *allowed: Topic) -> None:
-        """Add topics to a rule; only /tf is common to all fleets."""
-        names: list[str] = getattr(self, rule)
-        names += [one.name if one is topics.TF else self.fleet + one.name for one in allowed]
+    publish: tuple[Topic | str, ...]
+    subscribe: tuple[Topic | str, ...]
+    reply: tuple[str, ...] = ()  # services that it offers
+    request: tuple[str, ...] = ()  # services that it calls
 
 
 def enclaves(
-    scenario: Scenario,
-    edges: CommunicationGraph,
-    backend: Literal["sim", "mavlink"],
-    fleet: str = "",
+    scenario: Scenario, edges: CommunicationGraph, backend: Literal["sim", "mavlink"]
 ) -> Iterator[Enclave]:
-    """Each process of a fleet, with what it may use.
-
-    Args:
-        scenario: Its edges say who hears whom.
-        edges: Of that scenario.
-        backend: What flies the vehicles.
-        fleet: Namespace of the fleet, "/blue", or empty.
-    """
-    for uav in scenario.uav_ids:
-        yield _uav(scenario, edges, uav, fleet)
+    """Each process of a fleet, with what it may use; `edges` of the scenario say who hears whom."""
+    ids = scenario.uav_ids
+    for uav in ids:
+        yield _uav(scenario, edges, uav)
         if backend == "mavlink":
-            yield _bridge(scenario, uav, fleet)
-    odometry = [topics.odom(uav) for uav in scenario.uav_ids]
+            yield _bridge(scenario, uav)
+    odometry = tuple(map(topics.odom, ids))
     if backend == "sim":
-        sim = Enclave(fleet, topics.SIM, ("sim",))
-        sim.allow("publish", topics.CLOCK, topics.TF, topics.MARKERS, *odometry)
-        for uav in scenario.uav_ids:
-            sim.allow("publish", topics.near(uav), topics.truth(uav))
-            sim.allow("subscribe", topics.wrench_setpoint(uav))
-        sim.allow("subscribe", topics.EPOCH, topics.RECORDED)
-        yield sim
-    recorder = Enclave(fleet, topics.RECORDER, ("recorder",))
-    recorder.allow("publish", topics.RECORDED)
-    every = topics.recorded(
-        scenario.uav_ids, lockstep=False, with_truth=True, with_slots=True, with_stream=True
+        sensed = (topic(uav) for uav in ids for topic in (topics.near, topics.truth))
+        yield Enclave(
+            topics.SIM,
+            ("sim",),
+            publish=(topics.CLOCK, topics.TF, topics.MARKERS, *odometry, *sensed),
+            subscribe=(topics.EPOCH, topics.RECORDED, *map(topics.wrench_setpoint, ids)),
+        )
+    every = topics.recorded(ids, lockstep=False, with_truth=True, with_slots=True, with_stream=True)
+    yield Enclave(topics.RECORDER, ("recorder",), publish=(topics.RECORDED,), subscribe=every)
+    reports = (topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.FAULT, topics.EPOCH)
+    yield Enclave(
+        FLEET,
+        ("fleet*",),  # launchers on several computers differ in name
+        publish=(topics.OVER, *_ORDERS),
+        subscribe=(topics.REQUEST, *reports, *odometry),
+        reply=("formation/arm",),
+        request=("formation/*", "uav*"),
     )
-    recorder.allow("subscribe", *every)
-    yield recorder
-    launcher = Enclave(fleet, FLEET, ("fleet*",))  # launchers on several computers differ in name
-    orders = topics.REQUEST, topics.LOST, topics.EMERGENCY, topics.FAULT
-    launcher.allow("publish", topics.OVER, *orders)
-    heard = topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.FAULT, topics.EPOCH
-    launcher.allow("subscribe", topics.REQUEST, *heard, *odometry)
-    launcher.reply.append(f"{fleet}/formation/arm")
-    launcher.request += [f"{fleet}/formation/*", f"{fleet}/uav*"]
-    yield launcher
-    # Reads everything, publishes what is ordered, and offers the fleet in the types of ptnsbc_interfaces.
-    operator = Enclave(fleet, OPERATOR, _OPERATORS_NODES)
-    operator.allow("publish", topics.SETPOINT, *orders)
-    offered = ("state", "announced", "*/_action/*")
-    operator.publish += [f"{fleet}/formation/{name}" for name in offered]
-    operator.subscribe += [f"{fleet}/*", "/tf", "/rosout"]
-    operator.reply.append(f"{fleet}/formation/*")
-    operator.request.append(f"{fleet}/*")
-    yield operator
+    yield Enclave(  # reads everything, orders, and offers the fleet in the types of ptnsbc_interfaces
+        OPERATOR,
+        _OPERATORS_NODES,
+        publish=(
+            *(topics.SETPOINT, *_ORDERS),
+            *("formation/state", "formation/announced", "formation/*/_action/*"),
+        ),
+        subscribe=("*", "/tf", "/rosout"),
+        reply=("formation/*",),
+        request=("*",),
+    )
 
 
-def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int, fleet: str) -> Enclave:
-    process = Enclave(fleet, f"uav{uav}", (f"uav{uav}/controller",))
-    process.allow(
-        "publish",
-        *(topics.formation_state(uav), topics.leader_estimate(uav)),
-        *(topics.velocity_setpoint(uav), topics.wrench_setpoint(uav)),
-        *(*topics.notes(uav), topics.robot_description(uav)),
+def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int) -> Enclave:
+    leads = uav == scenario.leader.id or uav in scenario.leader.successors
+    told = (topics.EPOCH, topics.TAKEN, *((topics.SLOTS,) if are_open(scenario) else ()))
+    return Enclave(
+        f"uav{uav}",
+        (f"uav{uav}/controller",),
+        publish=(
+            *(topics.formation_state(uav), topics.leader_estimate(uav)),
+            *(topics.velocity_setpoint(uav), topics.wrench_setpoint(uav)),
+            *(*topics.notes(uav), topics.robot_description(uav)),
+            *(told if leads else ()),
+        ),
+        subscribe=(
+            *(*edges.heard_by(uav), topics.limits(uav), topics.FAULT),
+            *((topics.REQUEST, topics.SETPOINT) if leads else ()),
+        ),
+        reply=("formation/*",) if leads else (),
     )
-    process.allow(
-        "subscribe",
-        *(*edges.heard_by(uav), topics.limits(uav), topics.FAULT),
-    )
-    if uav == scenario.leader.id or uav in scenario.leader.successors:
-        process.allow("publish", topics.EPOCH, topics.TAKEN)
-        process.allow("subscribe", topics.REQUEST, topics.SETPOINT)
-        process.reply.append(f"{fleet}/formation/*")
-        if are_open(scenario):
-            process.allow("publish", topics.SLOTS)
-    return process
 
 
-def _bridge(scenario: Scenario, uav: int, fleet: str) -> Enclave:
-    process = Enclave(fleet, f"bridge{uav}", (f"uav{uav}/bridge",))
-    process.allow(
-        "publish",
-        *(topics.odom(uav), topics.near(uav), topics.truth(uav), topics.track(uav)),
-        *(topics.limits(uav), topics.battery(uav), topics.TF),
-        *(topics.EMERGENCY, topics.LOST),
-        *((topics.ORIGIN,) if uav == scenario.leader.id else ()),
-    )
+def _bridge(scenario: Scenario, uav: int) -> Enclave:
     others = [other for other in scenario.uav_ids if other != uav]
-    process.allow(
-        "subscribe",
-        *(topics.velocity_setpoint(uav), topics.wrench_setpoint(uav)),
-        *(topics.EPOCH, topics.TAKEN, topics.EMERGENCY, topics.ORIGIN, topics.DIAGNOSTICS),
-        *map(topics.odom, others),
-        *map(topics.track, others),
+    return Enclave(
+        f"bridge{uav}",
+        (f"uav{uav}/bridge",),
+        publish=(
+            *(topics.odom(uav), topics.near(uav), topics.truth(uav), topics.track(uav)),
+            *(topics.limits(uav), topics.battery(uav), topics.TF),
+            *(topics.EMERGENCY, topics.LOST),
+            *((topics.ORIGIN,) if uav == scenario.leader.id else ()),
+        ),
+        subscribe=(
+            *(topics.velocity_setpoint(uav), topics.wrench_setpoint(uav)),
+            *(topics.EPOCH, topics.TAKEN, topics.EMERGENCY, topics.ORIGIN, topics.DIAGNOSTICS),
+            *map(topics.odom, others),
+            *map(topics.track, others),
+        ),
     )
-    return process
 
 
-def policy(processes: Iterable[Enclave]) -> str:
-    """The policy as XML. sros2 adds the topic by which processes tell each other their nodes."""
+def policy(processes: Iterable[Enclave], fleet: str = "") -> str:
+    """The policy of a fleet as XML; `fleet` is its namespace, "/blue", or empty.
+
+    A process is started with `--enclave` and the path of its enclave, "/blue/uav1". sros2 adds the topic by which
+    processes tell each other their nodes.
+    """
+
+    def full(name: Topic | str) -> str:
+        if isinstance(name, Topic):  # only /tf is common to all fleets
+            return name.name if name is topics.TF else fleet + name.name
+        return name if name.startswith("/") else f"{fleet}/{name}"
+
     root = ElementTree.Element("policy", version=VERSION)
     parts = ElementTree.SubElement(root, "enclaves")
     for process in processes:
-        enclave = ElementTree.SubElement(parts, "enclave", path=process.path)
-        below, _, node = f"{process.fleet}/{process.nodes[0]}".rpartition("/")
+        enclave = ElementTree.SubElement(parts, "enclave", path=f"{fleet}/{process.name}")
+        below, _, node = f"{fleet}/{process.nodes[0]}".rpartition("/")
         profile = ElementTree.SubElement(
             ElementTree.SubElement(enclave, "profiles"), "profile", ns=below or "/", node=node
         )
-        for kind, rule in (
-            ("topic", "publish"),
-            ("topic", "subscribe"),
-            ("service", "reply"),
-            ("service", "request"),
+        events = (f"{node}/transition_event" for node in process.nodes)
+        status = (topics.DIAGNOSTICS, topics.READY, "/rosout", "/parameter_events")
+        heard = (topics.LOST, topics.CLOCK, "/parameter_events")
+        for kind, rule, names in (
+            ("topic", "publish", (*process.publish, *status, *events)),
+            ("topic", "subscribe", (*process.subscribe, *heard)),
+            ("service", "reply", (*process.reply, *(f"{node}/*" for node in process.nodes))),
+            ("service", "request", process.request),
         ):
-            names = sorted(set(getattr(process, rule)))
             if names:  # a list of none is no list for sros2
                 listed = ElementTree.SubElement(profile, f"{kind}s", {rule: "ALLOW"})
-                for name in names:
+                for name in sorted(set(map(full, names))):
                     ElementTree.SubElement(listed, kind).text = name
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

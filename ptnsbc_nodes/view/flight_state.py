@@ -17,7 +17,6 @@ from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.reading.reader import find, read_text
 from ptnsbc_sim.scenario.slots import are_open, with_slots
@@ -31,31 +30,20 @@ _READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
 
 
 class FlightState:
-    """Takes in what the processes of one fleet publish; `frame` is the picture of an instant.
-
-    Args:
-        scenario: what is flown.
-        clock_s: a steady clock, for the age of messages.
-    """
+    """Takes in what the processes of one fleet publish; `frame` is the picture of an instant."""
 
     def __init__(self, scenario: Scenario, clock_s: Callable[[], float]) -> None:
-        self.scenario = scenario
-        """As it is flown: with the slots that the UAVs took, once they are known."""
-        self.flown_anew = 0
-        """The number of times that `scenario` has changed."""
+        """`clock_s`: steady, for the age of messages."""
+        self.scenario = scenario  # as it is flown: with the slots that the UAVs took, once known
+        self.flown_anew = 0  # how often `scenario` has changed
         self.processes = ProcessReports(clock_s)
+        self.decided = DecidedSlots(scenario)
+        self.epochs = Epochs(scenario)
         self._file = scenario
         self._clock_s = clock_s
-        self._decided = DecidedSlots(scenario)
-        self._epochs = Epochs(scenario)
         self._states = RecentStates()
         self._moving = moves(scenario.formation)
         self._pace = _Pace()
-
-    @property
-    def decode_slots(self) -> Callable[[bytes], Decision]:
-        """The decoder of /formation/slots."""
-        return self._decided.decode
 
     def on_odometry(self, uav: int, message: Stamped) -> None:
         """The state of one vehicle."""
@@ -64,8 +52,8 @@ class FlightState:
 
     def on_leg(self, leg: HeaderFields) -> None:
         """A leg was announced."""
-        self._epochs.announce(leg.stamp_ns, leg.frame_id)
-        flown = self._epochs.scenario
+        self.epochs.announce(leg.stamp_ns, leg.frame_id)
+        flown = self.epochs.scenario
         if flown is not self._file and not are_open(flown):
             self._file = flown  # a word on a leg of the mission
             self.scenario = flown
@@ -73,36 +61,21 @@ class FlightState:
 
     def on_taken(self, setpoint: Stamped) -> None:
         """The leader follows a setpoint."""
-        self._epochs.take(setpoint)
-        self.scenario = self._epochs.scenario
+        self.epochs.take(setpoint)
+        self.scenario = self.epochs.scenario
 
     def on_slots(self, decision: Decision) -> None:
         """The UAVs have taken their slots."""
-        self._decided.keep(decision)
+        self.decided.keep(decision)
         flown = with_slots(self._file, decision.slots)
         if flown.topology != self.scenario.topology:
             self.scenario = flown
             self.flown_anew += 1
 
     @property
-    def started(self) -> bool:
-        """True if the first leg is announced."""
-        return self._epochs.announced
-
-    @property
     def leg(self) -> Leg | None:
         """The leg in force."""
-        return self._epochs.at(self.stamp_ns)
-
-    @property
-    def legs(self) -> tuple[ScheduledLeg, ...]:
-        """The legs of the mission that begin, after what was said in flight; none without a mission."""
-        return self._epochs.scenario.legs
-
-    @property
-    def words(self) -> tuple[Word, ...]:
-        """The words of an operator on the legs of the mission in flight."""
-        return self._epochs.scenario.words
+        return self.epochs.at(self.stamp_ns)
 
     @property
     def stamp_ns(self) -> int:
@@ -115,11 +88,12 @@ class FlightState:
         `t` counts from the first epoch, `left_s` to the deadline of the leg.
         """
         leg = self.leg
-        t = None if leg is None else (self.stamp_ns - leg.first_t0_ns) * _NANO
-        since_s = None if leg is None else (self.stamp_ns - leg.t0_ns) * _NANO
-        left_s = None
-        if leg is not None and since_s is not None and leg.mode == MODE_FORMATION:
-            left_s = float(self.scenario.gains.formation.deadline_s) - since_s
+        t = since_s = left_s = None
+        if leg is not None:
+            t = (self.stamp_ns - leg.first_t0_ns) * _NANO
+            since_s = (self.stamp_ns - leg.t0_ns) * _NANO
+            if leg.mode == MODE_FORMATION:
+                left_s = float(self.scenario.gains.formation.deadline_s) - since_s
         states = self._states.at(self.stamp_ns)
         places = {uav: state[:3] for uav, state in states.items()}
         goals = self._goals(places, t)
@@ -188,30 +162,24 @@ class FlightState:
                 for one in scenario.world.bodies
             ),
         ]
-        found = [
+        rooms = [
             (distance - limit, distance, name)
             for name, distance, limit in things
             if math.isfinite(distance)
         ]
-        if not found:
+        if not rooms:
             return None
-        room, distance, name = min(found)
+        room, distance, name = min(rooms)
         return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
 
 
 class ProcessReports:
-    """Reports of the processes of a fleet, and who of them has ended.
-
-    Attributes:
-        over: True once the launcher has ended the flight.
-    """
+    """Reports of the processes of a fleet, and who of them has ended."""
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
-        self.over = False
+        self.over = False  # the launcher has ended the flight
         self._clock_s = clock_s
-        self._heard: dict[
-            str, dict[str, tuple[float, DiagnosticStatus]]
-        ] = {}  # by process and name
+        self._heard: dict[str, dict[str, tuple[float, DiagnosticStatus]]] = {}  # by process, name
         self._lost: set[str] = set()
 
     def on_status(self, array: Diagnostics) -> None:
@@ -224,10 +192,6 @@ class ProcessReports:
     def on_lost(self, process: LostProcess) -> None:
         """A process has ended before its time."""
         self._lost.add(process.name)
-
-    def on_over(self, _over: HeaderFields) -> None:
-        """The launcher has ended the flight."""
-        self.over = True
 
     def of_uav(self, uav: int) -> dict[str, Any]:
         """The reports of the processes of one UAV: mode, vehicle, battery, fix, readiness."""
@@ -307,18 +271,16 @@ class RecentStates:
 
         A vehicle that has nothing before it or after it is where it told that it was.
         """
-        return {uav: _at(kept, stamp_ns) for uav, kept in self._of.items()}
-
-
-def _at(kept: deque[Stamped], stamp_ns: int) -> Array:
-    after = next((one for one in kept if one.stamp_ns >= stamp_ns), kept[-1])
-    before = next((one for one in reversed(kept) if one.stamp_ns <= stamp_ns), kept[0])
-    if before.stamp_ns >= after.stamp_ns:
-        return after.values
-    share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    values: Array = np.array(after.values)
-    values[:3] = before.values[:3] + share * (after.values[:3] - before.values[:3])
-    return values
+        states: dict[int, Array] = {}
+        for uav, kept in self._of.items():
+            after = next((one for one in kept if one.stamp_ns >= stamp_ns), kept[-1])
+            before = next((one for one in reversed(kept) if one.stamp_ns <= stamp_ns), kept[0])
+            states[uav] = after.values
+            if before.stamp_ns < after.stamp_ns:
+                share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+                states[uav] = after.values.copy()
+                states[uav][:3] = before.values[:3] + share * (after.values[:3] - before.values[:3])
+        return states
 
 
 class _Pace:

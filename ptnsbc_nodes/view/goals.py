@@ -101,12 +101,11 @@ class LegGoal(_Goal):
             return self._end("abort", f"another leg has begun: {name}", state)
         feedback = FlyLeg.Feedback(share_of_time=state.share_of_time)
         self._goal.publish_feedback(_filled(feedback, state))
-        if not state.leg.predefined_time_s:
-            return self._end("succeed", f"leg {leg.name}: it has begun", state)
-        return state.share_of_time >= 1.0 and self._judge(state)
-
-    def _judge(self, state: FleetState) -> bool:
         time_s, late = state.leg.predefined_time_s, state.not_in_place
+        if not time_s:
+            return self._end("succeed", f"leg {leg.name}: it has begun", state)
+        if state.share_of_time < 1.0:
+            return False
         if late:
             return self._end("abort", f"not in place after {time_s:g} s: {_names(late)}", state)
         return self._end("succeed", f"in place after {time_s:g} s", state)
@@ -117,7 +116,7 @@ class MissionGoal(_Goal):
 
     def _begin(self) -> Answer:
         self._outcomes: list[LegOutcome] = []
-        self._words = len(self._flight.words)
+        self._words = len(self._flight.epochs.scenario.words)
         first, mission = self._goal.request.from_leg, self._flight.scenario.mission
         if mission is None:
             return Answer(False, "the scenario has no mission: expected one with mission.legs")
@@ -126,7 +125,7 @@ class MissionGoal(_Goal):
         self._last = len(mission.legs)
         if first > 1:
             return self._call(leg_service(first))
-        if self._flight.started:
+        if self._flight.epochs.announced:
             later = f"expected from_leg from 2 to {self._last}"
             return Answer(False, f"the flight has begun: {later}, or a fleet with --wait")
         return self._call("start")
@@ -141,12 +140,13 @@ class MissionGoal(_Goal):
 
     def _follow(self, state: FleetState) -> bool:
         leg, own = self._flight.leg, self._goal.request.from_leg > 1
-        if leg is None or (own and len(self._flight.words) == self._words):
+        flown = self._flight.epochs.scenario
+        if leg is None or (own and len(flown.words) == self._words):
             return False
         self._own = self._own or leg
         now_s = (self._flight.stamp_ns - leg.first_t0_ns) * 1e-9
-        from_s = self._flight.words[self._words].at_s if own else 0.0
-        legs = [one for one in self._flight.legs if one.begin_s >= from_s]
+        from_s = flown.words[self._words].at_s if own else 0.0
+        legs = [one for one in flown.legs if one.begin_s >= from_s]
         begun = [one for one in legs if one.begin_s <= now_s]
         if not begun:
             return False
@@ -160,17 +160,12 @@ class MissionGoal(_Goal):
         present = begun[-1]
         if present.number == CANCEL:
             return self._end("abort", "the mission was cancelled", state)
-        self._tell(present, now_s, state)
-        done = present.number == self._last and len(self._outcomes) == len(begun)
-        return done and self._judge(state)
-
-    def _tell(self, present: ScheduledLeg, now_s: float, state: FleetState) -> None:
         share = (now_s - present.begin_s) / (present.due_s - present.begin_s)
         feedback = FlyMission.Feedback(leg=present.number, name=present.name)
         feedback.share_of_time = min(max(share, 0.0), 1.0)
         self._goal.publish_feedback(_filled(feedback, state))
-
-    def _judge(self, state: FleetState) -> bool:
+        if present.number != self._last or len(self._outcomes) != len(begun):
+            return False
         good = (LegOutcome.IN_PLACE, LegOutcome.BEGUN)
         missed = [one for one in self._outcomes if one.outcome not in good]
         if not missed:

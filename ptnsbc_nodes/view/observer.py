@@ -52,51 +52,71 @@ def flying_domains() -> list[int]:
     return sorted({int(number) for number in _LOCK.findall(sockets)})
 
 
-def listen_to_fleet(listen: Callable[..., Any], state: FlightState) -> None:
-    """Subscribe to what the processes of a fleet tell; `listen` is like `Endpoints.listen`."""
-    scenario = state.scenario
-    often = keep_last(10 * len(scenario.uav_ids), reliable=True)
-    for topic in (topics.DIAGNOSTICS, topics.READY):
-        listen(topic, decode_diagnostics, state.processes.on_status, profile=often)
-    listen(topics.EPOCH, decode_leg, state.on_leg)
-    listen(topics.LOST, decode_lost, state.processes.on_lost)
-    listen(topics.OVER, decode_header, state.processes.on_over)
-    if scenario.takes_setpoints:
-        listen(topics.TAKEN, OdometryDecoder(), state.on_taken, required=False)
-    if are_open(scenario):
-        listen(topics.SLOTS, state.decode_slots, state.on_slots)
+class FleetListener:
+    """Subscriptions to what the processes of a fleet tell, on its way into a `FlightState`; nobody waits for them."""
 
+    def __init__(
+        self, endpoints: Endpoints, state: FlightState, after: Callable[[], None] = lambda: None
+    ) -> None:
+        """`after`: called after each message."""
+        self._endpoints, self._state, self._after = endpoints, state, after
+        self._hears_vehicles = False
+        scenario, processes = state.scenario, state.processes
+        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
+            endpoints.shared.add(topics.EPOCH.name)
+        often = keep_last(10 * len(scenario.uav_ids), reliable=True)
+        for topic in (topics.DIAGNOSTICS, topics.READY):
+            self._listen(topic, decode_diagnostics, processes.on_status, often)
+        self._listen(topics.EPOCH, decode_leg, state.on_leg)
+        self._listen(topics.LOST, decode_lost, processes.on_lost)
+        self._listen(topics.OVER, decode_header, lambda _over: setattr(processes, "over", True))
+        if scenario.takes_setpoints:
+            self._listen(topics.TAKEN, OdometryDecoder(), state.on_taken)
+        if are_open(scenario):
+            self._listen(topics.SLOTS, state.decided.decode, state.on_slots)
 
-def listen_to_vehicles(listen: Callable[..., Any], state: FlightState) -> None:
-    """Subscribe to odometry, and not before the start: vehicles wait for so many readers, and not for a viewer."""
-    for uav in state.scenario.uav_ids:
-        # Neither the frames nor the order of stamps matter to a viewer.
-        on_odometry = partial(state.on_odometry, uav)
-        listen(topics.odom(uav), OdometryDecoder(), on_odometry, profile=STATE_REALTIME)
+    def look(self) -> bool:
+        """Subscribe to odometry once the flight has begun; True when that has just happened.
+
+        Not before the start: vehicles wait for so many readers, and not for a viewer.
+        """
+        if self._hears_vehicles or not self._state.epochs.announced:
+            return False
+        self._hears_vehicles = True
+        for uav in self._state.scenario.uav_ids:
+            # Neither the frames nor the order of stamps matter to a viewer.
+            take = partial(self._state.on_odometry, uav)
+            self._listen(topics.odom(uav), OdometryDecoder(), take, STATE_REALTIME)
+        return True
+
+    def _listen(
+        self,
+        topic: topics.Topic,
+        decode: Callable[[bytes], Any],
+        deliver: Callable[[Any], None],
+        profile: Any = None,
+    ) -> None:
+        def taken(message: Any) -> None:
+            deliver(message)
+            self._after()
+
+        self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
 
 
 class Observer(FleetNode):
-    """A node that looks at a fleet; use it as a context manager.
-
-    Args:
-        domain: ROS domain of the fleet.
-        namespace: of the fleet.
-        name: of the node; several viewers may look at one fleet.
-    """
+    """A node that looks at a fleet; use it as a context manager. Several viewers may look at one fleet."""
 
     def __init__(self, domain: int, namespace: str = "", name: str = "view") -> None:
         super().__init__(domain, name, namespace)
         self._slices = BoundedSpin(self.executor)
         self._leader: LeaderClient | None = None
-        self._state: FlightState | None = None
-        self._sees_vehicles = False
+        self._listener: FleetListener | None = None
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while."""
         self._slices.serve(seconds)
-        if self._state is not None and self._state.started and not self._sees_vehicles:
-            self._sees_vehicles = True
-            listen_to_vehicles(self._listen, self._state)
+        if self._listener is not None:
+            self._listener.look()
 
     def scenario(self, patience_s: float, stopped: Callable[[], bool]) -> Scenario:
         """The scenario of the fleet, from one of its UAVs.
@@ -140,25 +160,9 @@ class Observer(FleetNode):
         state = FlightState(scenario, time.monotonic)
         seal = seal_of(scenario)
         self.endpoints = Endpoints(self.node, lockstep=True, seal=seal or operators_seal())
-        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
-            self.endpoints.shared.add(topics.EPOCH.name)
         self._leader = LeaderClient(self)
-        listen_to_fleet(self._listen, state)
-        self._state = state
+        self._listener = FleetListener(self.endpoints, state, self._slices.look)
         return state
-
-    def _listen(
-        self,
-        topic: topics.Topic,
-        decode: Callable[[bytes], Any],
-        deliver: Callable[[Any], None],
-        profile: Any = None,
-    ) -> None:
-        def taken(message: Any) -> None:
-            deliver(message)
-            self._slices.look()
-
-        self.endpoints.listen(topic, decode, taken, required=False, profile=profile)
 
     def ailments(self, names: Sequence[str], patience_s: float) -> dict[str, str]:
         """Faults of processes of the fleet: those that are silent for so long, or report an error.

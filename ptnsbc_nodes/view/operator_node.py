@@ -36,7 +36,7 @@ from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.goals import LegGoal, MissionGoal
-from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
+from ptnsbc_nodes.view.observer import FleetListener
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import agent_config
@@ -75,13 +75,9 @@ class OperatorNode:
         self._folder = runtime_folder(domain, self.endpoints.fleet)
         self.flight = FlightState(scenario, time.monotonic)
         self._tolerance_m = float(scenario.formation.tolerance_m)
-        self._sees_vehicles = False
         self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
-        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
-            self.endpoints.shared.add(topics.EPOCH.name)
-        self._listen = partial(self.endpoints.listen, required=False)
-        listen_to_fleet(self._listen, self.flight)
+        self._listener = FleetListener(self.endpoints, self.flight)
         fleet = self.endpoints.fleet
         self._publish = node.create_publisher(
             FleetState, fleet + STATE, keep_last(10, reliable=True)
@@ -89,37 +85,30 @@ class OperatorNode:
         self._announce = node.create_publisher(
             Epoch, fleet + ANNOUNCED, keep_last(_MOST_EPOCHS, reliable=True, latched=True)
         ).publish
-        self._listen(topics.EPOCH, decode_leg, self._on_epoch)
+        self.endpoints.listen(topics.EPOCH, decode_leg, self._on_epoch, required=False)
         self.calls = FleetCalls(node, scenario, fleet, signed=seal is not None)
-        self._offer_services()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
-
-    def _offer_services(self) -> None:
-        node, fleet = self._node, self.endpoints.fleet
         node.create_service(Arm, fleet + ARM_VEHICLES, self._on_arm)
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
         self._actions = [
-            self._serve(FlyLeg, FLY_LEG, lambda goal: LegGoal(self.flight, self.calls.begin, goal)),
-            self._serve(
-                FlyMission,
-                FLY_MISSION,
-                lambda goal: MissionGoal(self.flight, self.calls.call, goal),
-            ),
+            ActionServer(
+                node,
+                action,
+                fleet + name,
+                lambda _goal: None,  # each goal executes with its own result
+                handle_accepted_callback=partial(self._follow, kind, call),
+                cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            )
+            for action, name, kind, call in (
+                (FlyLeg, FLY_LEG, LegGoal, self.calls.begin),
+                (FlyMission, FLY_MISSION, MissionGoal, self.calls.call),
+            )
         ]
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
 
-    def _serve(
-        self, kind: Any, name: str, follow: Callable[[ServerGoalHandle], LegGoal | MissionGoal]
-    ) -> ActionServer:
-        return ActionServer(
-            self._node,
-            kind,
-            self.endpoints.fleet + name,
-            lambda goal: kind.Result(),
-            handle_accepted_callback=lambda goal: self._goals.append(follow(goal)),
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )
+    def _follow(self, kind: Any, call: Callable[[str], Answer], goal: ServerGoalHandle) -> None:
+        self._goals.append(kind(self.flight, call, goal))
 
     def close(self) -> None:
         """Remove everything from the node."""
@@ -129,15 +118,14 @@ class OperatorNode:
         self.calls.close()
 
     def _on_timer(self) -> None:
-        if self.flight.started and not self._sees_vehicles:
-            self._sees_vehicles = True
-            listen_to_vehicles(self._listen, self.flight)
+        if self._listener.look():
             for uav in self._configs:
                 # As with odometry: before the start its bridge waits for its planner, and for no viewer.
-                self._listen(topics.limits(uav), decode_limits, partial(self._on_limits, uav))
-        self._state = self._fleet_state()
-        self._publish(self._state)
-        self._goals = [goal for goal in self._goals if not goal.look(self._state)]
+                take = partial(self._on_limits, uav)
+                self.endpoints.listen(topics.limits(uav), decode_limits, take, required=False)
+        state = self._fleet_state()
+        self._publish(state)
+        self._goals = [goal for goal in self._goals if not goal.look(state)]
 
     def _on_epoch(self, leg: HeaderFields) -> None:
         number = number_of(leg.frame_id)
@@ -228,18 +216,15 @@ class OperatorNode:
                 operation.remote = node
                 operation.discover(_DISCOVERY_S)
                 if not operation.bridges:  # a simulated fleet
-                    return self._tell_leader(response, kill=request.kill)
+                    answer = self.calls.call("stop")
+                    response.success = answer.accepted and not request.kill
+                    motors = "; a simulated fleet has no motors to stop" if request.kill else ""
+                    response.vehicles = [f"leader: {answer.message}{motors}"]
+                    return response
                 response.success = operation.run(_STOP_S)
             response.vehicles = [f"{one.name}: {one.text}" for one in operation.outcomes()]
         finally:
             operation.close()
-        return response
-
-    def _tell_leader(self, response: Any, *, kill: bool) -> Any:
-        answer = self.calls.call("stop")
-        response.success = answer.accepted and not kill
-        motors = "; a simulated fleet has no motors to stop" if kill else ""
-        response.vehicles = [f"leader: {answer.message}{motors}"]
         return response
 
 

@@ -50,7 +50,7 @@ def policy(
         from ptnsbc_nodes.security.policy import policy as policy_of
     flown = scenario_with(scenario, set_keys(settings))
     edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
-    typer.echo(policy_of(enclaves(flown, edges, backend, namespace)), nl=False)
+    typer.echo(policy_of(enclaves(flown, edges, backend), namespace), nl=False)
 
 
 @security.command(

@@ -22,7 +22,7 @@ _RULES = {"publish": "topic", "subscribe": "topic", "reply": "service", "request
 
 def made(scenario, backend="sim", namespace=""):
     edges = CommunicationGraph(scenario, FlightOptions(bridged=backend == "mavlink"))
-    return policy(enclaves(scenario, edges, backend, namespace))
+    return policy(enclaves(scenario, edges, backend), namespace)
 
 
 def granted(scenario, backend="sim", namespace=""):

@@ -32,7 +32,7 @@ def with_mission(ros, monkeypatch):
 def fly(fleet, result, seconds):
     """The feedback once the state of that instant has been followed; None when the goal has ended."""
     fleet.feedback.clear()
-    leg = fleet.operator.flight.legs
+    leg = fleet.operator.flight.epochs.scenario.legs
     share = next(
         (seconds - one.begin_s) / (one.due_s - one.begin_s)
         for one in reversed(leg)
@@ -99,7 +99,7 @@ def test_a_mission_begins_at_a_leg_and_ends_when_it_is_cancelled(with_mission):
     _, result = fleet.mission(4)
     assert fleet.asked == ["leg_4"]
     fleet.announce("mission 4", 9.0)
-    fleet.spin_until_told(lambda: fleet.operator.flight.words, 8.9)
+    fleet.spin_until_told(lambda: fleet.operator.flight.epochs.scenario.words, 8.9)
     assert fly(fleet, result, 12.0).name == "circle"
     fleet.announce("mission 0", 13.0)
     fleet.spin_until_told(result.done, 13.1)
