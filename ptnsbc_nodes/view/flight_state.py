@@ -17,7 +17,6 @@ from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.reading.reader import find, read_text
 from ptnsbc_sim.scenario.slots import are_open, with_slots
 
@@ -42,7 +41,7 @@ class FlightState:
         self._file = scenario
         self._clock_s = clock_s
         self._states = RecentStates()
-        self._moving = moves(scenario.formation)
+        self._moving = scenario.formation.moves
         self._pace = _Pace()
 
     def on_odometry(self, uav: int, message: Stamped) -> None:

@@ -43,7 +43,7 @@ from ptnsbc_core.types import (
 from ptnsbc_sim.plugins.formation_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import leader_motion, turn_of
 from ptnsbc_sim.scenario.gains import Loop, gain_of
-from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import plant_of
 from ptnsbc_sim.scenario.scenario import Scenario
@@ -71,7 +71,7 @@ def leader_trajectory(scenario: Scenario) -> Trajectory:
 
 def places_beside_leader(scenario: Scenario, uav_id: int, times: Array) -> Array:
     """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
-    if uav_id == scenario.leader.id or not moves(scenario.formation):
+    if uav_id == scenario.leader.id or not scenario.formation.moves:
         return np.tile(scenario.offset(uav_id), (len(times), 1))
     shape = shape_of(scenario, uav_id)
     return place_samples(shape, leader_trajectory(scenario), times)[:, :3]

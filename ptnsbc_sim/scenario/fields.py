@@ -6,8 +6,9 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -20,6 +21,9 @@ from pydantic_core import PydanticCustomError
 
 LARGEST = 1e12
 """Size of the largest number of a quantity: the laws square and cube them."""
+
+AUTO = "auto"
+"""The value of a key that is left to us."""
 
 MOST_SAMPLES = 200_000
 """Characters of a CSV file at most."""
@@ -142,13 +146,23 @@ class Block(BaseModel):
                     "unknown_key", "unknown key", {"below": (key,), "known": (*cls.model_fields,)}
                 )
         return {
-            key: value if _holds_waves(key) else strip_unit(key, value)
+            key: value if key.startswith("disturbance") or value == AUTO else strip_unit(key, value)
             for key, value in tree.items()
         }
 
 
-def _holds_waves(key: str) -> bool:
-    return key.startswith("disturbance")
+_Block = TypeVar("_Block", bound=Block)
+
+
+def replaced(block: _Block, keys: Mapping[str, Any]) -> _Block:
+    """A block with the values of dotted keys replaced; nothing is validated again."""
+    changes: dict[str, Any] = {}
+    for key, value in keys.items():
+        first, _, below = key.partition(".")
+        if below:
+            value = replaced(changes.get(first, getattr(block, first)), {below: value})
+        changes[first] = value
+    return block.model_copy(update=changes)
 
 
 class Wave(BaseModel):

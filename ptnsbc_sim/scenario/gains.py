@@ -9,18 +9,26 @@ from __future__ import annotations
 import math
 import pickle
 from functools import cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import WrapValidator
 
 from ptnsbc_core.types import PROFILES, LoopGain
-from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Positive, Residual
+from ptnsbc_sim.scenario.fields import AUTO, Block, Flag, NotNegative, Positive, Residual
 
 Profile = Literal["paper", "soft", "reference"]
+
+
+Deadline = Annotated[
+    Positive, WrapValidator(lambda value, check: math.inf if value == AUTO else check(value))
+]
+"""A deadline; the one that is left to us is infinite until it is known."""
 
 
 class Loop(Block):
     """One loop: scale * (time-base gain + kappa * profile), or scale * kappa without a time base."""
 
-    deadline_s: Positive
+    deadline_s: Deadline
     """Deadline of the loop, counted from the epoch. `gains.formation` also takes `auto`: 1.5 times the shortest
     deadline that the limits allow from the starts of the file to their places, or with `assignment: optimal` to the
     slots that these starts are given; the scenario in a bag has the number."""

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, WrapValidator, model_validator
 
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import (
+    AUTO,
     Block,
     Count,
     Name,
@@ -189,10 +190,20 @@ class LinkQuality(NamedTuple):
     delay_s: float  # from sending to arrival
 
 
+class AutoTree(dict[int, int]):
+    """A tree that is left to us, empty until it is known."""
+
+
+Tree = Annotated[
+    dict[UavId, UavId],
+    WrapValidator(lambda value, check: AutoTree() if value == AUTO else check(value)),
+]
+
+
 class Communication(Block):
     """The communication graph of the formation."""
 
-    tree: dict[UavId, UavId]
+    tree: Tree
     """`child: parent`, a tree rooted at the leader. `auto` proposes one for the shape: short edges over which the
     task is well conditioned, at most three hops deep."""
     parents: dict[UavId, dict[UavId, Positive]] | None = None
@@ -299,6 +310,18 @@ class Formation(Block):
     recovery_s: Positive = 1.0
     """Shortest time base of the way back after an encounter; it is longer where the limits of speed and acceleration
     need more, see [method.md](method.md#way-back)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_offsets(cls, tree: Any) -> Any:
+        """The offsets of a named shape are none until it is resolved."""
+        named = isinstance(tree, dict) and tree.get("shape") is not None
+        return {**tree, "offsets_m": tree.get("offsets_m") or {}} if named else tree
+
+    @property
+    def moves(self) -> bool:
+        """True if the shape moves in itself."""
+        return self.frame == "heading" or bool(self.changes)
 
     @property
     def reconfigures(self) -> bool:

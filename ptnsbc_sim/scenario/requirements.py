@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg, SplitLeg, moves_shape
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.mission.stream import takes_setpoints
 from ptnsbc_sim.scenario.model import ScenarioFile
 
@@ -64,7 +63,7 @@ AT_REST = Condition(
     "formation",
     "a shape that does not move, without frame: heading, changes, or legs of kind take_off, change or split",
     lambda f: "",
-    lambda f: not (moves(f.formation) or moves_shape(f.mission)),
+    lambda f: not (f.formation.moves or moves_shape(f.mission)),
 )
 NO_CHANGES = Condition("formation.changes", "none", lambda f: "", lambda f: not f.formation.changes)
 NO_MISSION = Condition("mission", "none", lambda f: "legs", lambda f: f.mission is None)
@@ -105,7 +104,7 @@ REQUIREMENTS = (
     Requirement("formation.turn_rad", lambda f: f.formation.turn_rad, (FIXED, PLANNED)),
     Requirement(
         "a shape that moves (formation.frame: heading, formation.changes)",
-        lambda f: moves(f.formation),
+        lambda f: f.formation.moves,
         (RELATIVE, PLANNED),
     ),
     Requirement(

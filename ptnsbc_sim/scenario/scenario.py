@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ConfigDict, ValidationError
 
 from ptnsbc_core.topology import Topology
-from ptnsbc_sim.scenario.approach.deadline import AUTO, auto_deadline
+from ptnsbc_sim.scenario.approach.deadline import auto_deadline
+from ptnsbc_sim.scenario.fields import replaced
 from ptnsbc_sim.scenario.gains import gain_defaults
-from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_shape
+from ptnsbc_sim.scenario.mission.completion import resolved, with_first_leg
 from ptnsbc_sim.scenario.mission.legs import (
     FROM_KEY,
     ScheduledLeg,
@@ -20,7 +22,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     schedule,
     takes_off_from_starts,
 )
-from ptnsbc_sim.scenario.mission.route import with_legs
+from ptnsbc_sim.scenario.mission.route import with_route
 from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,
     Streamed,
@@ -43,8 +45,6 @@ from ptnsbc_sim.scenario.reading.content import (
     without_folder,
 )
 from ptnsbc_sim.scenario.semantics import checked
-
-_File = TypeVar("_File", bound=ScenarioFile)
 
 
 def load_text(
@@ -82,63 +82,34 @@ def load_text(
         or named_functions(final) != named_functions(tree)
     ):
         text = reader.dump(final)
-    filled = completed(final, source)
-    if _deadline_of(filled) == AUTO:
-        first = _validated(_with_deadline(filled, 1.0), source)
-        if first.mission is not None:
-            checked(first, source)
-            first = with_route(first, source)
-        deadline_s = auto_deadline(first, source)
-        filled = _with_deadline(filled, deadline_s)
-        text = reader.dump(_with_deadline(final, deadline_s))
-    return _validated(filled, source), text
+    file = validated(final, source)
+    if math.isinf(file.gains.formation.deadline_s):
+        first = replaced(file, {_DEADLINE: 1.0})
+        checked(first, source)
+        file = replaced(file, {_DEADLINE: auto_deadline(with_route(first, source), source)})
+        deadline = {_DEADLINE: file.gains.formation.deadline_s}
+        text = reader.dump(reader.with_keys(final, deadline, source))
+    return file, text
 
 
-def completed(tree: Tree, source: str = "scenario") -> Tree:
-    """`tree` with default gains, the offsets of shapes, and a tree of communication that was left to us.
-
-    Blocks of the wrong type are left for the validation to name.
-    """
-    plant, gains = tree.get("plant"), tree.get("gains")
-    kind = plant.get("kind") if isinstance(plant, dict) else None
-    if isinstance(gains, dict):
-        tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
-    return completed_shape(completed_mission(tree, source), source)
+_DEADLINE = "gains.formation.deadline_s"
 
 
-def with_route(file: _File, source: str, words: tuple[Word, ...] = ()) -> _File:
-    """A checked file with the trajectory and the changes of the shape of its mission.
+def validated(tree: Tree, source: str) -> ScenarioFile:
+    """The file that a tree holds, with default gains and all that it leaves to us but the deadline.
 
     Raises:
-        ScenarioError: the path of the leader gets too long.
+        ScenarioError: the first key or value that is malformed.
     """
+    gains, plant = tree.get("gains"), tree.get("plant")
+    if isinstance(gains, dict):
+        kind = plant.get("kind") if isinstance(plant, dict) else None
+        tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
+    tree = with_first_leg(tree)
     try:
-        routed: _File = with_legs(file, words)
-    except ValueError as error:
-        raise ScenarioError(f"{source}: {error}") from None
-    return routed
-
-
-def _validated(tree: Tree, source: str) -> ScenarioFile:
-    try:
-        return ScenarioFile.model_validate(tree)
+        return resolved(ScenarioFile.model_validate(tree), source)
     except ValidationError as error:
         raise scenario_error(source, error, tree) from None
-
-
-def _deadline_of(tree: Tree) -> Any:
-    """gains.formation.deadline_s as it is written; None where the blocks are not there."""
-    gains = tree.get("gains")
-    loop = gains.get("formation") if isinstance(gains, dict) else None
-    return loop.get("deadline_s") if isinstance(loop, dict) else None
-
-
-def _with_deadline(tree: Tree, deadline_s: float) -> Tree:
-    gains = tree["gains"]
-    return {
-        **tree,
-        "gains": {**gains, "formation": {**gains["formation"], "deadline_s": deadline_s}},
-    }
 
 
 _BESIDE_STARTS = tuple(set(ScenarioFile.model_fields) - {"uavs", "seed"})
@@ -233,8 +204,7 @@ class Scenario(ScenarioFile):
         return self._following(going_on(streaming, setpoint))
 
     def _following(self, path: Streamed) -> Scenario:
-        leader = self.leader.model_copy(update={"trajectory": path})
-        return self.model_copy(update={"leader": leader})
+        return replaced(self, {"leader.trajectory": path})
 
     @property
     def takes_setpoints(self) -> bool:

@@ -4,19 +4,34 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire import MOST_NEAR_OBJECTS
-from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
+from ptnsbc_sim.scenario.fields import AUTO
+from ptnsbc_sim.scenario.gains import Gains, Loop
+from ptnsbc_sim.scenario.mavlink import vehicle_link
 from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, fault_problems
-from ptnsbc_sim.scenario.mission.legs import mission_problems
-from ptnsbc_sim.scenario.mission.shapes import shape_problems
+from ptnsbc_sim.scenario.mission.legs import (
+    ChangeLeg,
+    FormLeg,
+    JoinLeg,
+    LandLeg,
+    LegBlock,
+    SplitLeg,
+    TakeOffLeg,
+    begin_of,
+    leg_names,
+    schedule,
+    utc_time,
+)
+from ptnsbc_sim.scenario.mission.shapes import Reshaping
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_problems
-from ptnsbc_sim.scenario.model import NANOSECONDS, Positioning, ScenarioFile, plant_of
+from ptnsbc_sim.scenario.model import NANOSECONDS, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.obstacles import bodies, obstacle_problems
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.requirements import requirement_problems
@@ -25,56 +40,53 @@ STABILITY_LIMIT = 2.0
 """An explicit Euler step of a linear decay with rate g is stable for dt g below this."""
 
 _WEIGHTS_SUM = 1e-6
+_LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
 
 Problems = Iterator[str]
 
 
-def communication_problems(file: ScenarioFile) -> Problems:
-    """Contradictions among tree, links and parents."""
-    yield from _members(file)
-    yield from _links(file)
-    yield from _parents(file)
+def _repeated(keys: Iterable[Hashable]) -> Iterator[tuple[int, int]]:
+    """The index of each key that stands before too, and the first index of it."""
+    first: dict[Hashable, int] = {}
+    for index, key in enumerate(keys):
+        if first.setdefault(key, index) != index:
+            yield index, first[key]
 
 
 def _members(file: ScenarioFile) -> Problems:
-    ids = {uav.id for uav in file.uavs}
+    ids, links = set(file.uav_ids), file.communication
     known = "expected one of the ids under uavs: " + ", ".join(map(str, sorted(ids)))
     if file.leader.id not in ids:
         yield f"leader.id: {file.leader.id}: no start under uavs; {known}"
-    links = file.communication
-    for child, parent in links.tree.items():
+    for child in links.tree:
         if child not in ids:
             yield f"communication.tree.{child}: no UAV {child}, its start is missing; {known}"
-        elif parent not in ids:
-            yield f"communication.tree.{child}: {parent}: no such UAV; {known}"
-    for index, uav in enumerate(links.leader_links):
-        if uav not in ids:
-            yield f"communication.leader_links[{index}]: {uav}: no such UAV; {known}"
+    named = {f"tree.{child}": parent for child, parent in links.tree.items()}
+    named |= {f"leader_links[{index}]": uav for index, uav in enumerate(links.leader_links)}
     for index, edge in enumerate(links.estimator_edges):
-        for end, uav in enumerate(edge):
-            if uav not in ids:
-                yield f"communication.estimator_edges[{index}][{end}]: {uav}: no such UAV; {known}"
+        named |= {f"estimator_edges[{index}][{end}]": uav for end, uav in enumerate(edge)}
+    for key, uav in named.items():
+        if uav not in ids:
+            yield f"communication.{key}: {uav}: no such UAV; {known}"
 
 
 def _links(file: ScenarioFile) -> Problems:
     block = file.communication
-    first: dict[tuple[int, int], int] = {}
-    for index, link in enumerate(block.links):
-        where, ends = f"communication.links[{index}]", (link.sender, link.receiver)
-        pair = {ends, ends[::-1]}
+    ends = [(link.sender, link.receiver) for link in block.links]
+    for index, (sender, receiver) in enumerate(ends):
         if not (
-            block.tree.get(link.receiver) == link.sender
-            or link.sender in (block.parents or {}).get(link.receiver, ())
-            or (link.sender == file.leader.id and link.receiver in block.leader_links)
-            or pair.intersection(block.estimator_edges)
+            sender in (block.tree.get(receiver), *(block.parents or {}).get(receiver, ()))
+            or (sender == file.leader.id and receiver in block.leader_links)
+            or {(sender, receiver), (receiver, sender)}.intersection(block.estimator_edges)
         ):
             yield (
-                f"{where}: no messages from UAV {link.sender} to UAV {link.receiver}: expected an edge "
+                f"communication.links[{index}]: no messages from UAV {sender} to UAV {receiver}: expected an edge "
                 "of communication.tree, parents, leader_links or estimator_edges"
             )
-        if ends in first:
-            yield f"{where}: duplicate of communication.links[{first[ends]}], give each link once"
-        first.setdefault(ends, index)
+    for index, first in _repeated(ends):
+        yield (
+            f"communication.links[{index}]: duplicate of communication.links[{first}], give each link once"
+        )
     delays = {f"links[{k}].delay_s": link.delay_s for k, link in enumerate(block.links)}
     for key, delay_s in {"delay_s": block.delay_s, **delays}.items():
         if delay_s is not None and delay_s >= block.stale_s:
@@ -86,11 +98,9 @@ def _links(file: ScenarioFile) -> Problems:
 
 def _parents(file: ScenarioFile) -> Problems:
     links = file.communication
-    if not links.parents:
-        return
-    for child, weights in links.parents.items():
-        where = f"communication.parents.{child}"
-        above = links.tree.get(child)
+    parents = links.parents or {}
+    for child, weights in parents.items():
+        where, above = f"communication.parents.{child}", links.tree.get(child)
         if above is None or above not in weights:
             known = "no follower" if above is None else f"expected {above}, its parent in the tree"
             yield f"{where}: {known}, among its parents"
@@ -100,12 +110,13 @@ def _parents(file: ScenarioFile) -> Problems:
         total = math.fsum(weights.values())
         if abs(total - 1.0) > _WEIGHTS_SUM:
             yield f"{where}: weights sum to {total:g}: expected 1"
-    edges = {child: {above} for child, above in links.tree.items()}
-    try:
-        TopologicalSorter({**edges, **links.parents}).prepare()
-    except CycleError as error:
-        cycle = " -> ".join(map(str, reversed(error.args[1])))
-        yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
+    if parents:
+        edges = {child: {above} for child, above in links.tree.items()}
+        try:
+            TopologicalSorter({**edges, **parents}).prepare()
+        except CycleError as error:
+            cycle = " -> ".join(map(str, reversed(error.args[1])))
+            yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
 
 
 def estimator_peak(file: ScenarioFile) -> float:
@@ -136,7 +147,7 @@ def graph(file: ScenarioFile, source: str) -> Topology:
     try:
         topology = validated_topology(
             file.leader.id,
-            [uav.id for uav in file.uavs],
+            file.uav_ids,
             links.tree,
             links.leader_links,
             links.estimator_edges,
@@ -158,68 +169,61 @@ _CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVI
 
 
 def _timing(file: ScenarioFile) -> Problems:
-    timing, sensor = file.timing, file.sensor
-    if NANOSECONDS % timing.control_hz:
+    timing, fixes = file.timing, file.sensor.positioning
+    hz = timing.control_hz
+    if NANOSECONDS % hz:
         yield (
-            f"timing.control_hz: {timing.control_hz}: expected a rate whose period is a whole "
+            f"timing.control_hz: {hz}: expected a rate whose period is a whole "
             "number of nanoseconds, such as 50, 100, 200, 250"
         )
-    if timing.control_hz % 5:
-        yield f"timing.control_hz: {timing.control_hz}: expected a multiple of 5 (/diagnostics)"
-    if timing.physics_hz % timing.control_hz:
+    if hz % 5:
+        yield f"timing.control_hz: {hz}: expected a multiple of 5 (/diagnostics)"
+    if timing.physics_hz % hz:
         yield (
-            f"timing.physics_hz: {timing.physics_hz}: expected a multiple of timing.control_hz "
-            f"({timing.control_hz})"
+            f"timing.physics_hz: {timing.physics_hz}: expected a multiple of timing.control_hz ({hz})"
         )
-    if timing.control_hz % sensor.rate_hz:
-        yield (
-            f"sensor.rate_hz: {sensor.rate_hz}: expected a divisor of timing.control_hz "
-            f"({timing.control_hz})"
-        )
-    fixes = sensor.positioning
-    if fixes is not None:
-        yield from _positioning(fixes, timing.control_hz)
-    if timing.duration_s * timing.control_hz < 1:
-        yield f"timing.duration_s: {timing.duration_s:g}: expected at least one control period"
-
-
-def _positioning(fixes: Positioning, control_hz: int) -> Problems:
-    if control_hz % fixes.rate_hz:
-        yield (
-            f"sensor.positioning.rate_hz: {fixes.rate_hz}: expected a divisor of "
-            f"timing.control_hz ({control_hz})"
-        )
-    for key in ("latency_s", "unknown_latency_s"):
-        late = float(getattr(fixes, key))
-        if abs(late * control_hz - round(late * control_hz)) > 1e-9:
+    rates = {"": file.sensor.rate_hz} | ({"positioning.": fixes.rate_hz} if fixes else {})
+    for block, rate_hz in rates.items():
+        if hz % rate_hz:
             yield (
-                f"sensor.positioning.{key}: {late:g}: expected a multiple of the control period, "
-                f"{1 / control_hz:g} s"
+                f"sensor.{block}rate_hz: {rate_hz}: expected a divisor of timing.control_hz ({hz})"
             )
-    if fixes.unknown_latency_s > fixes.latency_s:
+    for key in ("latency_s", "unknown_latency_s") if fixes else ():
+        late = float(getattr(fixes, key))
+        if abs(late * hz - round(late * hz)) > 1e-9:
+            yield (
+                f"sensor.positioning.{key}: {late:g}: expected a multiple of the control period, {1 / hz:g} s"
+            )
+    if fixes and fixes.unknown_latency_s > fixes.latency_s:
         yield (
             f"sensor.positioning.unknown_latency_s: {fixes.unknown_latency_s:g}: expected at most "
             f"latency_s ({fixes.latency_s:g}), which it is a part of"
         )
+    if timing.duration_s * hz < 1:
+        yield f"timing.duration_s: {timing.duration_s:g}: expected at least one control period"
+
+
+def _deadlines(file: ScenarioFile) -> Problems:
+    for key in Gains.model_fields:
+        loop = getattr(file.gains, key)
+        if isinstance(loop, Loop) and math.isinf(loop.deadline_s):
+            yield (
+                f'gains.{key}.deadline_s: "{AUTO}": expected a number in s, or text such as "1.5 s"'
+            )
 
 
 def _names(file: ScenarioFile) -> Problems:
-    first: dict[int, int] = {}
-    for index, uav in enumerate(file.uavs):
-        if uav.id in first:
-            yield (
-                f"uavs[{index}].id: {uav.id}: duplicate of uavs[{first[uav.id]}].id, "
-                "give every UAV its own id"
-            )
-        first.setdefault(uav.id, index)
-    names: dict[str, int] = {}
-    for index, obstacle in enumerate(file.world.obstacles):
-        if obstacle.name in names:
-            yield (
-                f'world.obstacles[{index}].name: "{obstacle.name}": duplicate of '
-                f"world.obstacles[{names[obstacle.name]}].name, give every obstacle its own name"
-            )
-        names.setdefault(obstacle.name, index)
+    for index, first in _repeated(file.uav_ids):
+        yield (
+            f"uavs[{index}].id: {file.uav_ids[index]}: duplicate of uavs[{first}].id, "
+            "give every UAV its own id"
+        )
+    names = [obstacle.name for obstacle in file.world.obstacles]
+    for index, first in _repeated(names):
+        yield (
+            f'world.obstacles[{index}].name: "{names[index]}": duplicate of '
+            f"world.obstacles[{first}].name, give every obstacle its own name"
+        )
 
 
 def _obstacles(file: ScenarioFile) -> Problems:
@@ -247,18 +251,40 @@ def _obstacles(file: ScenarioFile) -> Problems:
         )
 
 
-def _offsets(file: ScenarioFile) -> Problems:
-    followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
-    offsets = file.formation.offsets_m
+def _formation(file: ScenarioFile) -> Problems:
+    formation, offsets = file.formation, file.formation.offsets_m
     for uav in offsets:
         if uav == file.leader.id:
             yield f"formation.offsets_m.{uav}: the leader has no offset from itself, remove it"
-        elif uav not in followers:
-            ids = ", ".join(map(str, followers)) or "none"
+        elif uav not in file.followers:
+            ids = ", ".join(map(str, file.followers)) or "none"
             yield f"formation.offsets_m.{uav}: no such UAV; expected one of the followers: {ids}"
-    for uav in followers:
+    for uav in file.followers:
         if uav not in offsets:
             yield f"formation.offsets_m.{uav}: missing: expected its offset from the leader"
+    least = min(
+        [formation.uav_keep_out_m, *(uav.keep_out_m for uav in file.uavs if uav.keep_out_m)]
+    )
+    if formation.sight_m > 0.5 * least:
+        yield (
+            f"formation.sight_m: {formation.sight_m:g}: expected at most half of the smallest keep-out of a UAV "
+            f"({least:g} m), or one UAV may be taken for another"
+        )
+
+
+def _changes(file: ScenarioFile) -> Problems:
+    end_s = 0.0
+    for index, change in enumerate(file.formation.changes):
+        where = f"formation.changes[{index}]"
+        if change.at_s < end_s:
+            yield f"{where}.at_s: {change.at_s:g}: expected at least {end_s:g}, the end of the change before"
+        end_s = change.at_s + change.over_s
+        yield from _places(change, file.followers, where)
+
+
+def _places(change: Reshaping, followers: tuple[int, ...], where: str) -> Problems:
+    for uav in sorted(set(followers).symmetric_difference(change.offsets_m or followers)):
+        yield f"{where}.offsets_m.{uav}: expected an offset of each follower {list(followers)}, and of no other UAV"
 
 
 def _trajectory(file: ScenarioFile) -> Problems:
@@ -266,15 +292,70 @@ def _trajectory(file: ScenarioFile) -> Problems:
         yield f"leader.trajectory.{problem}"
 
 
-def _sight(file: ScenarioFile) -> Problems:
-    shape = file.formation
-    own = [uav.keep_out_m for uav in file.uavs if uav.keep_out_m is not None]
-    least = min([shape.uav_keep_out_m, *own])
-    if shape.sight_m > 0.5 * least:
-        yield (
-            f"formation.sight_m: {shape.sight_m:g}: expected at most half of the smallest keep-out of a UAV "
-            f"({least:g} m), or one UAV may be taken for another"
-        )
+def _leg_times(file: ScenarioFile) -> Problems:
+    mission = file.mission
+    if mission is None:
+        return
+    names, start = leg_names(mission), mission.start
+    for index, leg in enumerate(mission.legs):
+        where = f"mission.legs[{index}]"
+        if names[index] in names[:index]:
+            yield f"{where}.name: {names[index]}: expected a name that no other leg has"
+        if leg.at is not None and leg.at_s is not None:
+            yield f"{where}.at: expected either at or at_s"
+        if leg.at is not None and start is None:
+            yield f"{where}.at: expected mission.start, from which the flight counts"
+        elif leg.at is not None and not utc_time(leg.at).follows(utc_time(start or "")):
+            yield (
+                f"{where}.at: {leg.at}: expected a time that recurs as mission.start, {start}, does, or more often; "
+                "a date where that is one"
+            )
+    for before, one in pairwise(schedule(mission, file.gains.formation.deadline_s)):
+        at_s = begin_of(mission, one.leg)
+        if at_s is not None and at_s < before.end_s - _LATE_S:
+            key = "at" if one.leg.at is not None else "at_s"
+            yield (
+                f"mission.legs[{one.number - 1}].{key}: {at_s:g} s: expected at least {before.end_s:g} s, "
+                "when the leg before is done"
+            )
+
+
+def _legs(file: ScenarioFile) -> Problems:
+    legs = file.mission.legs if file.mission else ()
+    for index, leg in enumerate(legs):
+        where = f"mission.legs[{index}]"
+        if expected := _order(legs, index):
+            yield f"{where}.kind: {leg.kind}: {expected}"
+        if index == 0 and (leg.at_s or leg.at is not None or leg.on is not None):
+            yield f"{where}: expected no at_s, at or on: the first leg begins with the first epoch"
+        path = getattr(leg, "trajectory", None)
+        for problem in () if path is None else trajectory_problems(path):
+            yield f"{where}.trajectory.{problem}"
+        if isinstance(leg, SplitLeg) and leg.head not in file.followers:
+            yield f"{where}.head: {leg.head}: expected one of the followers {list(file.followers)}"
+        if isinstance(leg, ChangeLeg):
+            yield from _places(leg, file.followers, where)
+
+
+def _order(legs: Sequence[LegBlock], index: int) -> str:
+    """What is expected where a leg may not stand; empty where it may. Groups part also by legs that wait for a word."""
+    leg, first = legs[index], legs[0]
+    apart = [one for one in legs[:index] if isinstance(one, SplitLeg | JoinLeg)][-1:]
+    if index == 0 and not isinstance(leg, FormLeg | TakeOffLeg):
+        return "expected form or take_off, with which a mission begins"
+    if index and isinstance(leg, TakeOffLeg):
+        return "expected no take_off after the first leg: UAVs that fly go_to a height"
+    if index == 1 and isinstance(first, TakeOffLeg) and not isinstance(leg, FormLeg):
+        return "expected form, which follows take_off"
+    if isinstance(leg, FormLeg) and index > isinstance(first, TakeOffLeg):
+        return "expected change, with which a later leg takes another shape"
+    if isinstance(leg, SplitLeg) and apart and isinstance(apart[0], SplitLeg):
+        return "expected a leg of kind join before it"
+    if isinstance(leg, JoinLeg) and not (apart and isinstance(apart[0], SplitLeg)):
+        return "expected a leg of kind split before it"
+    if isinstance(leg, LandLeg) and index + 1 < len(legs):
+        return "expected no leg after it"
+    return ""
 
 
 def _plant(file: ScenarioFile) -> Problems:
@@ -288,20 +369,18 @@ def _plant(file: ScenarioFile) -> Problems:
         weight = own.mass_kg * max(uav.mass_scale, 1.0) * file.world.gravity_m_s2
         most = own.quadrotor.max_thrust_n
         if most <= weight:
-            key = (
-                "plant.quadrotor.max_thrust_n"
-                if uav.max_force_n is None
-                else f"uavs[{index}].max_force_n"
-            )
+            general = uav.max_force_n is None
+            key = "plant.quadrotor.max_thrust_n" if general else f"uavs[{index}].max_force_n"
             whose = f" of UAV {uav.id}" if own != plant or uav.mass_scale > 1.0 else ""
             yield (
                 f"{key}: {most:g}: expected more than the weight{whose}, {weight:.3g} N, or it cannot hover"
             )
+    if file.plugins.plant and plant.kind != "quadrotor":
+        yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
 
 
 def _mavlink(file: ScenarioFile) -> Problems:
-    block = file.mavlink
-    ids = tuple(uav.id for uav in file.uavs)
+    block, fence, ids = file.mavlink, file.mavlink.geofence, file.uav_ids
     for uav, vehicle in block.vehicles.items():
         where = f"mavlink.vehicles.{uav}"
         if uav not in ids:
@@ -312,59 +391,41 @@ def _mavlink(file: ScenarioFile) -> Problems:
     for key in block.overrides:
         if key.split(".")[0] not in ("gains", "formation"):
             yield f"mavlink.overrides.{key}: expected a key below gains or formation"
-    yield from _duplicate_links(block, ids)
-    yield from _fence(block.geofence)
-
-
-def _duplicate_links(block: Mavlink, ids: tuple[int, ...]) -> Problems:
     links = {uav: vehicle_link(block, ids, uav) for uav in ids}
     for what in ("sysid", "connect", "signing_key"):
-        first: dict[str, int] = {}
-        for uav, link in links.items():
-            value = getattr(link, what)
-            if value is None:
-                continue
-            # Whichever address it listens at, a port has one listener.
-            key = str(value).rpartition(":")[2] if str(value).startswith("udpin:") else str(value)
-            if key in first:
-                yield (
-                    f"mavlink.vehicles.{uav}.{what}: {value}: duplicate of that of UAV "
-                    f"{first[key]}, give every vehicle its own"
-                )
-            first.setdefault(key, uav)
-
-
-def _fence(fence: Geofence) -> Problems:
+        values = {uav: getattr(link, what) for uav, link in links.items()}
+        own = {uav: str(value) for uav, value in values.items() if value is not None}
+        # Whichever address it listens at, a port has one listener.
+        ports = [
+            end.rpartition(":")[2] if end.startswith("udpin:") else end for end in own.values()
+        ]
+        for index, first in _repeated(ports):
+            uav, other = list(own)[index], list(own)[first]
+            yield (
+                f"mavlink.vehicles.{uav}.{what}: {own[uav]}: duplicate of that of UAV {other}, "
+                "give every vehicle its own"
+            )
     if (fence.box_min_m is None) != (fence.box_max_m is None):
         yield "mavlink.geofence: one corner of the box: expected box_min_m and box_max_m, or neither"
-    elif fence.box_min_m is not None and fence.box_max_m is not None:
-        for low, high in zip(fence.box_min_m, fence.box_max_m, strict=True):
-            if low >= high:
-                yield f"mavlink.geofence.box_max_m: {high:g}: expected more than box_min_m, {low:g}"
-
-
-def _law(file: ScenarioFile) -> Problems:
-    if file.plugins.plant and file.plant.kind != "quadrotor":
-        yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
+    for low, high in zip(fence.box_min_m or (), fence.box_max_m or (), strict=False):
+        if low >= high:
+            yield f"mavlink.geofence.box_max_m: {high:g}: expected more than box_min_m, {low:g}"
 
 
 def _membership(file: ScenarioFile) -> Problems:
-    formation = file.formation
-    keys = [f"uavs[{k}].joins_s" for k, uav in enumerate(file.uavs) if uav.joins_s is not None]
-    keys += [f"uavs[{k}].leaves_s" for k, uav in enumerate(file.uavs) if uav.leaves_s is not None]
-    if file.leader.successors:
-        keys.append("leader.successors")
-    if formation.vacancy == "wait":
-        for key in keys:
+    leader = file.leader
+    if not file.formation.reconfigures:
+        keys = [
+            f"uavs[{index}].{key}"
+            for key in ("joins_s", "leaves_s")
+            for index, uav in enumerate(file.uavs)
+            if getattr(uav, key) is not None
+        ]
+        for key in keys + ["leader.successors"] * bool(leader.successors):
             yield f"{key}: expected formation.vacancy: keep or close_up, which says what becomes of an empty slot"
         return
-    yield from _comings(file)
-
-
-def _comings(file: ScenarioFile) -> Problems:
-    leader, ids = file.leader, [uav.id for uav in file.uavs]
     for index, uav_id in enumerate(leader.successors):
-        if uav_id not in ids or uav_id == leader.id or uav_id in leader.successors[:index]:
+        if uav_id not in file.followers or uav_id in leader.successors[:index]:
             yield f"leader.successors[{index}]: {uav_id}: expected followers, each once"
     for index, uav in enumerate(file.uavs):
         if uav.id == leader.id and uav.joins_s is not None:
@@ -374,31 +435,32 @@ def _comings(file: ScenarioFile) -> Problems:
 
 
 def _faults(file: ScenarioFile) -> Problems:
-    ids = {uav.id for uav in file.uavs}
     for index, fault in enumerate(file.faults or ()):
         if fault.rule.strikes == AUTOPILOT:
             yield (
                 f"faults[{index}].kind: {fault.kind}: no flight can inject it, stand-ins can: expected "
                 f"`ptnsbc inject {fault.kind} --control PORT`, or `ptnsbc autopilot --fault`"
             )
-        for problem in fault_problems(fault, ids):
+        for problem in fault_problems(fault, file.uav_ids):
             yield f"faults[{index}].{problem}"
 
 
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
+    _deadlines,
     _names,
     _obstacles,
-    communication_problems,
-    _offsets,
+    _members,
+    _links,
+    _parents,
+    _formation,
     _trajectory,
     requirement_problems,
-    shape_problems,
-    mission_problems,
-    _sight,
+    _changes,
+    _leg_times,
+    _legs,
     _plant,
     _mavlink,
-    _law,
     _membership,
     _faults,
 )

@@ -17,17 +17,15 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 from scipy.stats import qmc
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import takes_off
-from ptnsbc_sim.scenario.model import ScenarioFile
-from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.scenario.scenario import completed, scenario_of
+from ptnsbc_sim.scenario.scenario import scenario_of, validated
 from ptnsbc_sim.sweep.draws import (
     FILE,
     FROM_FILE,
@@ -192,7 +190,7 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
         tree["seed"] = _seed(plan, k)
     if plan.starts.kind == FILE and plan.stop_after_s is None:
         return tree, values
-    file = _validated(tree, _source(plan, k))
+    file = validated(tree, _source(plan, k))
     if plan.starts.kind != FILE:
         given = [uav.position_m for uav in file.uavs]
         spheres = spheres_of(file, file.world.bodies)
@@ -238,15 +236,7 @@ def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Valu
             return found, {}
     tree, values = _drawn(plan, k)
     source = _source(plan, k)
-    return scenario_of(_validated(tree, source), "", source), values
-
-
-def _validated(tree: Tree, source: str) -> ScenarioFile:
-    full = completed(tree, source)
-    try:
-        return ScenarioFile.model_validate(full)
-    except ValidationError as error:
-        raise scenario_error(source, error, full) from None
+    return scenario_of(validated(tree, source), "", source), values
 
 
 @lru_cache(maxsize=4)

@@ -10,7 +10,6 @@ from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict.members import by_phase
 from ptnsbc_sim.verdict.recording import Instants, Recording, seconds
 from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of
@@ -33,7 +32,7 @@ def formation_vectors(recording: Recording, block: Instants) -> dict[int, Array]
         positions = {uav: place[span] for uav, place in block.positions.items()}
         leader = _reference(scenario, positions[scenario.leader.id])
         path = reference_positions(leader_trajectory(scenario), times[span])
-        moving, vectors = moves(scenario.formation), {}
+        moving, vectors = scenario.formation.moves, {}
         for uav in scenario.uav_ids:
             slot = scenario.offset(uav)
             if uav == scenario.leader.id:

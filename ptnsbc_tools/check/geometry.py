@@ -23,7 +23,6 @@ from ptnsbc_sim.scenario.constants import (
     reference_offset,
     sight_speed,
 )
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import are_open, with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
@@ -146,7 +145,7 @@ def _what_moves(scenario: Scenario) -> str:
 
 def moving_spacing(scenario: Scenario) -> Findings:
     """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
-    if not moves(scenario.formation) or len(scenario.uav_ids) < 2:
+    if not scenario.formation.moves or len(scenario.uav_ids) < 2:
         return
     margin = scenario.gains.clearance.margin_m
     scenario = with_slots_of_starts(scenario)

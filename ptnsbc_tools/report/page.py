@@ -26,7 +26,6 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict import Series, Track, Verdict
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_sim.verdict.verdict import LegVerdict
@@ -159,7 +158,7 @@ def _uav(
     flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
 ) -> dict[str, Any]:
     scenario, places = flight.scenario, None
-    if moves(scenario.formation) and uav != scenario.leader.id:  # (F, 3), beside the leader
+    if scenario.formation.moves and uav != scenario.leader.id:  # (F, 3), beside the leader
         times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
         places = pack.add(places_beside_leader(scenario, uav, times))
     return {

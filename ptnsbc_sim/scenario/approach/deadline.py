@@ -30,7 +30,8 @@ from ptnsbc_sim.scenario.approach.path import (
 )
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
-from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
+from ptnsbc_sim.scenario.mission.route import shape_of
+from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, Route, extremes, trajectory_of
 from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
@@ -65,7 +66,7 @@ def _places_motion(file: ScenarioFile, first: float, last: float) -> tuple[float
     times = np.linspace(first, last, min(max(round(span / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
     lead = curve_samples(curve, times)
     speed, acceleration = _longest(lead[:, 3:6]), _longest(lead[:, 6:9])
-    for uav in file.formation.offsets_m if moves(file.formation) else ():
+    for uav in file.formation.offsets_m if file.formation.moves else ():
         place = place_samples(shape_of(file, uav), curve, times)
         speed = max(speed, _longest(lead[:, 3:6] + place[:, 3:6]))
         acceleration = max(acceleration, _longest(lead[:, 6:9] + place[:, 6:9]))
@@ -79,7 +80,7 @@ def _longest(vectors: Array) -> float:
 def _motion(file: ScenarioFile) -> tuple[float, float]:
     """Largest speed [m/s] and acceleration [m/s^2] that the mission asks of a UAV beside the approach."""
     leader, changes = leader_motion(file), file.formation.changes
-    if not moves(file.formation) or not file.formation.offsets_m:
+    if not file.formation.moves or not file.formation.offsets_m:
         return leader
     begins = [one.at_s for one in changes if one.at_s > 0.0]
     begins += [one.begin_s for one in getattr(file.leader.trajectory, "apart", ())]
@@ -123,7 +124,6 @@ def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> Mot
     return _left(file, *_places_motion(file, first, last))
 
 
-AUTO = "auto"
 MARGIN = 1.5
 """`auto` is so many times the shortest deadline."""
 
@@ -178,7 +178,7 @@ def _highest(file: ScenarioFile, t: float) -> float:
     curve, now = trajectory_of(file.leader.trajectory), np.array([t])
     lead = float(curve_samples(curve, now)[0, 2])
     offsets = [place[2] for place in file.formation.offsets_m.values()]
-    if moves(file.formation):
+    if file.formation.moves:
         shapes = [shape_of(file, uav) for uav in file.formation.offsets_m]
         offsets = [float(place_samples(shape, curve, now)[0, 2]) for shape in shapes]
     return lead + max([0.0, *offsets])
@@ -187,7 +187,7 @@ def _highest(file: ScenarioFile, t: float) -> float:
 def _offsets_at(file: ScenarioFile, begin_s: float) -> dict[int, Array]:
     """Place (3,) [m] of every slot beside the leader's, so long after the first epoch."""
     offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
-    if moves(file.formation):
+    if file.formation.moves:
         curve, now = trajectory_of(file.leader.trajectory), np.array([begin_s])
         offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
     return {uav.id: offsets.get(uav.id, np.zeros(3)) for uav in file.uavs}
@@ -235,7 +235,7 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
     formation = file.formation
     together = formation.vacancy == "wait" and not file.leader.successors
     fixed = formation.assignment == "fixed" and formation.approach == "planned"
-    rests = not (moves(formation) or moves_shape(file.mission) or file.world.obstacles)
+    rests = not (formation.moves or moves_shape(file.mission) or file.world.obstacles)
     if not (together and fixed and rests and all(uav.joins_s is None for uav in file.uavs)):
         return (0.0,)
     return _candidates(*(np.asarray(part).tobytes() for part in planned_pairs(file)))

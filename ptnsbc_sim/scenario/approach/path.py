@@ -24,7 +24,7 @@ from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.timebase import h, plan_duration
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array
 from ptnsbc_sim.scenario.gains import gain_of
-from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock, plant_of
 
@@ -189,7 +189,7 @@ def planned_paths(
         return t, path
     s = np.minimum(t / plan_durations(file, deadlines)[:, None], 1.0)
     place = np.broadcast_to(np.array(file.formation.offsets_m[slot]), path.shape)
-    if moves(file.formation):
+    if file.formation.moves:
         moving = place_samples(shape_of(file, slot), curve, times)[:, :3].reshape(path.shape)
         share = 1.0 if starts.begin_s else rise(s)[..., None]
         place = moving[:1, :1] + share * (moving - moving[:1, :1])

@@ -22,18 +22,15 @@ from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.kinematics import yaw_of
-from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
+from ptnsbc_core.types import Array, Trajectory
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3
-from ptnsbc_sim.scenario.mission.shapes import conditions
+from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, YAW, conditions, curve_of
 
 _COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz", "yaw")
-_CHANNELS = 4  # x, y, z, yaw
-_WIDTH = 1 + COEFFICIENTS * _CHANNELS
 _STRETCH: Array = np.power(1.25, np.arange(20.0))  # of join_s and stop_s, up to 69 times
 _SHARES = np.linspace(0.0, 1.0, 65)  # of a polynomial, at which it is compared with the limits
 _SLACK = 1.0 + 1e-6
 _LIVE_ROWS = 8  # that a process keeps which flies
-_YAW = 12  # column of `curve_samples`
 
 
 class SetpointTrajectory(Block):
@@ -162,7 +159,7 @@ def streamed(block: SetpointTrajectory, setpoints: Sequence[Setpoint]) -> Stream
             raise SetpointError(f"setpoint at {one.at_s:g} s: {error}") from None
         done.append(kept[:-1])
         rows = np.concatenate([kept[-1:], added])
-    return Streamed(block, tuple(setpoints), _curve(np.concatenate([*done, rows])))
+    return Streamed(block, tuple(setpoints), curve_of(np.concatenate([*done, rows])))
 
 
 def going_on(path: Streamed, one: Setpoint) -> Streamed:
@@ -174,7 +171,7 @@ def going_on(path: Streamed, one: Setpoint) -> Streamed:
     _later(one, path.setpoints[-1].at_s if path.setpoints else -1.0)
     kept, added = _extended(path.block, path.curve.table, one)
     rows = np.concatenate([kept[-_LIVE_ROWS:], added])
-    return Streamed(path.block, (one,), _curve(rows))
+    return Streamed(path.block, (one,), curve_of(rows))
 
 
 def _later(one: Setpoint, before_s: float) -> float:
@@ -186,7 +183,7 @@ def _later(one: Setpoint, before_s: float) -> float:
 
 def _resting(block: SetpointTrajectory) -> Array:
     """The rows of a leader without setpoints."""
-    row = np.zeros((1, _WIDTH))
+    row = np.zeros((1, WIDTH))
     row[0, COEFFICIENTS::COEFFICIENTS] = (*block.position_m, block.yaw_rad)
     return row
 
@@ -201,7 +198,7 @@ def _extended(block: SetpointTrajectory, rows: Array, one: Setpoint) -> tuple[Ar
     if not speed <= block.speed_m_s:
         raise SetpointError(f"{speed:.3g} m/s: expected at most speed_m_s, {block.speed_m_s:g} m/s")
     now = _state(kept, one.at_s)
-    goal = np.zeros((4, _CHANNELS))
+    goal = np.zeros((4, CHANNELS))
     goal[0] = (*one.position, one.yaw)
     goal[0, 3] = now[0, 3] + wrap_angle(one.yaw - now[0, 3])
     goal[1, :3] = one.velocity
@@ -229,7 +226,7 @@ def _planned(block: SetpointTrajectory, now: Array, goal: Array, at_s: float) ->
             rest, reason = _braked(block, last)
             if rest is not None:
                 lasting, stop = rest
-                end = np.zeros((4, _CHANNELS))
+                end = np.zeros((4, CHANNELS))
                 end[0] = _values(stop[None], lasting)[0, 0, -1]
                 return np.array([*rows, _row(silent_s, stop), _moving(silent_s + lasting, end)])
     raise SetpointError(f"{reason}: expected one that it can follow within its limits")
@@ -252,7 +249,7 @@ def _goals(block: SetpointTrajectory, goal: Array) -> Iterator[tuple[Array, Arra
 def _braked(block: SetpointTrajectory, last: Array) -> tuple[tuple[float, Array] | None, str]:
     """The time and the polynomial by which a leader in a state (4, 4) comes to rest; why there is none."""
     spans, reason = block.stop_s * _STRETCH, ""
-    rests = np.zeros((len(spans), 4, _CHANNELS))
+    rests = np.zeros((len(spans), 4, CHANNELS))
     rests[:, 0] = last[0] + 0.5 * spans[:, None] * last[1]
     stops = _polynomials(last, rests, spans)
     for index, span in enumerate(spans.tolist()):
@@ -319,20 +316,15 @@ def _row(begin_s: float, polynomial: Array) -> Array:
 
 def _moving(begin_s: float, state: Array) -> Array:
     """A row that moves on from a state (4, 4) with its velocity."""
-    found = np.zeros((_CHANNELS, COEFFICIENTS))
+    found = np.zeros((CHANNELS, COEFFICIENTS))
     found[:, -1], found[:, -2] = state[0], state[1]
     return _row(begin_s, found)
 
 
 def _state(rows: Array, t: float) -> Array:
     """Value and three derivatives of x, y, z and yaw (4, 4) at a time; the yaw has two."""
-    at = curve_samples(_curve(rows), np.array([t]))[0]
-    found = np.zeros((4, _CHANNELS))
+    at = curve_samples(curve_of(rows), np.array([t]))[0]
+    found = np.zeros((4, CHANNELS))
     found[:, :3] = at[:12].reshape(4, 3)
-    found[:3, 3] = at[_YAW : _YAW + 3]
+    found[:3, 3] = at[YAW : YAW + 3]
     return found
-
-
-def _curve(rows: Array) -> Trajectory:
-    numbers = (TRAJECTORY_PIECEWISE, HEADING_TABLE, 0, 0, 0, 0, 0, 0)
-    return Trajectory(tuple(float(number) for number in numbers), np.ascontiguousarray(rows))

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -29,6 +29,7 @@ from ptnsbc_core.types import (
     Trajectory,
 )
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
+from ptnsbc_sim.scenario.mission.pieces import NO_TABLE, WIDTH, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
     Streamed,
@@ -156,29 +157,36 @@ LeaderTrajectoryBlock = Annotated[
 ]
 
 
+class Apart(NamedTuple):
+    """A group that leaves the formation for a while."""
+
+    head: int  # it and all UAVs below it in the tree are the group
+    begin_s: float  # when it leaves [s]
+    rows: Array  # (K, 25) by what its places are displaced, three channels
+
+
 @dataclass(frozen=True)
 class Route:
     """The path of the leader through the legs of a mission, in the place of a trajectory block."""
 
-    first: Any  # the trajectory block that it begins with
+    first: AnyPath  # the trajectory block that it begins with
     legs: tuple[Any, ...]  # those that move the leader, with their times
     until_s: float  # the curve ends there
     curve: Trajectory = field(compare=False)
-    apart: tuple[Any, ...] = field(
-        default=(), compare=False
-    )  # the groups that leave it for a while
+    apart: tuple[Apart, ...] = field(default=(), compare=False)
 
 
-_CHANNELS = 4  # x, y, z, yaw
-_COLUMNS = 1 + COEFFICIENTS * _CHANNELS
+AnyPath: TypeAlias = (
+    Circle | Line | Hover | Lissajous | Waypoints | Csv | SetpointTrajectory | Route | Streamed
+)
+"""A trajectory block, or the path that a leader has instead of one."""
+
 _TOP_RATE = 2.1875  # largest h_dot of h = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 _LEAST_GAP_S = 0.01
 _FARTHEST = 1e6  # [m], [s] and [rad] of what a curve goes through
 _STEP_S = 0.01  # between two samples of `extremes`, at most
 _MOST_STEPS = 50_000
 _BEFORE_S = 1e-9  # before the end of a piece
-
-NO_TABLE = np.zeros((0, _COLUMNS))
 
 
 class Samples(NamedTuple):
@@ -189,7 +197,7 @@ class Samples(NamedTuple):
     yaws: Array | None  # (S,) [rad]
 
 
-def trajectory_problems(block: Any) -> Iterator[str]:
+def trajectory_problems(block: AnyPath) -> Iterator[str]:
     """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
     if isinstance(block, SetpointTrajectory):
         yield from stream_problems(block)
@@ -301,7 +309,7 @@ def samples_of(text: str) -> Samples:
 
 
 @lru_cache(maxsize=64)
-def trajectory_of(block: Any) -> Trajectory:
+def trajectory_of(block: AnyPath) -> Trajectory:
     """The curve of a trajectory block that has no `problems`."""
     if isinstance(block, Route | Streamed):
         return block.curve
@@ -409,15 +417,14 @@ def _pieces(times: Array, values: Array, way: str, closed: bool) -> Array:
 def _piecewise(
     times: Array, pieces: Sequence[Array], heading: int, period: float, yaw: float
 ) -> Trajectory:
-    """The table; its last row stays at the end of the curve."""
-    table = np.zeros((len(times), _COLUMNS))
+    """The curve of the pieces of each channel, which stays at its end."""
+    table = np.zeros((len(times), WIDTH))
     table[:, 0] = times
     for channel, piece in enumerate(pieces):
         first = 1 + COEFFICIENTS * channel
         table[:-1, first : first + COEFFICIENTS] = piece
         table[-1, first + COEFFICIENTS - 1] = np.polyval(piece[-1], times[-1] - times[-2])
-    numbers = (TRAJECTORY_PIECEWISE, heading, period, 0, 0, 0, 0, yaw)
-    return Trajectory(tuple(float(number) for number in numbers), table)
+    return curve_of(table, heading, period, yaw)
 
 
 class Extremes(NamedTuple):
@@ -432,7 +439,7 @@ class Extremes(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def extremes(block: Any, duration_s: float) -> Extremes:
+def extremes(block: AnyPath, duration_s: float) -> Extremes:
     """The extremes over the first `duration_s` of a flight; of a stream what its limits allow."""
     if isinstance(block, SetpointTrajectory | Streamed):
         most = block.block if isinstance(block, Streamed) else block

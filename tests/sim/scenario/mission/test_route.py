@@ -12,7 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.constants import agent_config, leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word, is_cut_short
-from ptnsbc_sim.scenario.mission.shapes import at_knots, summed
+from ptnsbc_sim.scenario.mission.pieces import at_knots, summed
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 
 EIGHT = {
@@ -130,7 +130,9 @@ def test_a_word_may_come_in_the_middle_of_a_leg() -> None:
 
 def test_a_path_of_too_many_pieces_is_refused() -> None:
     circle = {"kind": "circle", "centre_m": [0, 0, 5], "radius_m": 0.1, "rate_rad_s": 500.0}
-    with pytest.raises(PtnsbcError, match=r"mission\.legs: the path of the leader takes more than"):
+    with pytest.raises(
+        PtnsbcError, match=r"mission\.legs: the path of the leader or of a group takes more than"
+    ):
         flight({"kind": "follow", "over_s": 3, "trajectory": circle})
 
 
@@ -293,5 +295,7 @@ def test_a_word_that_does_not_fit_where_it_is_said_is_refused() -> None:
 
 def test_the_path_of_a_group_of_too_many_pieces_is_refused() -> None:
     circle = {**SPLIT["trajectory"], "radius_m": 0.1, "rate_rad_s": 500.0}  # type: ignore[dict-item]
-    with pytest.raises(PtnsbcError, match=r"mission\.legs: the path of the group takes more than"):
+    with pytest.raises(
+        PtnsbcError, match=r"mission\.legs: the path of the leader or of a group takes more than"
+    ):
         mission({**SPLIT, "trajectory": circle})

@@ -10,7 +10,7 @@ import yaml
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, ScenarioError, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, moves, named_places
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 
 KINDS = ["v", "line", "column", "grid", "circle", "sphere"]
 TO_LINE = {"at_s": 10, "over_s": 4, "shape": {"kind": "line", "spacing_m": 3}}
@@ -39,7 +39,7 @@ def test_neighbours_are_a_spacing_apart(kind: str, size: int) -> None:
 
 def test_v_turns_with_the_leader() -> None:
     scenario = figure()
-    assert moves(scenario.formation)
+    assert scenario.formation.moves
     path = np.array([10.0 * 0.1 * np.cos(0.1 * 7.0), 5.0 * 0.2 * np.cos(0.2 * 7.0)])
     along = path / np.linalg.norm(path)
     for uav in (2, 3):
