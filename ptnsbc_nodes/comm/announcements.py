@@ -55,10 +55,10 @@ def decode_leg(data: bytes) -> HeaderFields:
 def decode_lost(data: bytes) -> LostProcess:
     """The process that has ended; WireError for a name that no process has."""
     name = decode_header(data).frame_id
-    found = _PROCESS.fullmatch(name)
-    if found is None:
+    process = _PROCESS.fullmatch(name)
+    if process is None:
         raise WireError(f"process {name[:_SHOWN]!r}: expected uavN, bridgeN, {SIM} or {RECORDER}")
-    return LostProcess(name, int(found[2]) if found[1] == "uav" else None)
+    return LostProcess(name, int(process[2]) if process[1] == "uav" else None)
 
 
 class OrderedFault(NamedTuple):
@@ -101,9 +101,19 @@ class Requests:
 
     def __init__(self, endpoints: Endpoints, names: Collection[str], *, signed: bool) -> None:
         """`names`: of the services of this node and of others that operators call."""
-        self._names, self._signed = names, signed
+        self._signed = signed
         self._requested_s: dict[str, float] = {}  # when each was last requested
-        endpoints.listen(topics.REQUEST, self._decode, self._on_request, required=False)
+
+        def decode(data: bytes) -> str:
+            name = decode_header(data).frame_id
+            if name not in names:
+                raise WireError(f"request {name[:_SHOWN]!r}: expected one of {', '.join(names)}")
+            return name
+
+        def take(name: str) -> None:
+            self._requested_s[name] = time.monotonic()
+
+        endpoints.listen(topics.REQUEST, decode, take, required=False)
 
     def refusal(self, name: str) -> str | None:
         """The reason why a service must not answer; None when it may, and its permission is used up."""
@@ -111,15 +121,6 @@ class Requests:
         if not self._signed or time.monotonic() - requested_s < _PERMIT_S:
             return None
         return f"security: signed: expected a sealed {topics.REQUEST.name} before the call"
-
-    def _decode(self, data: bytes) -> str:
-        name = decode_header(data).frame_id
-        if name not in self._names:
-            raise WireError(f"request {name[:_SHOWN]!r}: expected one of {', '.join(self._names)}")
-        return name
-
-    def _on_request(self, name: str) -> None:
-        self._requested_s[name] = time.monotonic()
 
 
 def decode_order(data: bytes) -> Order:
@@ -175,11 +176,11 @@ class DecidedSlots:
 
     def decode(self, data: bytes) -> Decision:
         """As `decode_slots`; SlotsError also for a decision that contradicts the one for its epoch."""
-        found = decode_slots(data, self._scenario)
-        if self._by_epoch.get(found.t0_ns, found.slots) != found.slots:
-            epoch_s = found.t0_ns * 1e-9
+        decision = decode_slots(data, self._scenario)
+        if self._by_epoch.get(decision.t0_ns, decision.slots) != decision.slots:
+            epoch_s = decision.t0_ns * 1e-9
             raise SlotsError(f"second slots of the epoch at {epoch_s:.3f} s: the first ones count")
-        return found
+        return decision
 
     def keep(self, decision: Decision) -> None:
         """Take a decision; one that the latched topic repeats changes nothing."""

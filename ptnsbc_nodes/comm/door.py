@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Stamped, WireError, peek_stamp
@@ -33,25 +33,18 @@ class RepetitionError(WireError):
     """A message with the stamp of the one before: it has nothing new, and nothing is wrong with its sender."""
 
 
-class StampRule(Protocol):
-    """Decides by its stamp whether a message of one sender is taken."""
-
-    def check(self, stamp_ns: int) -> None:
-        """Raise WireError when the stamp is refused."""
-
-
 class LockstepStamps:
     """Lock-step: stamps of one sender rise, are multiples of the period, and are at most some ticks ahead.
 
     Args:
-        horizon: shared by the doors of one node, which moves it at each tick.
+        latest_ns: the latest stamp that any sender can have reached.
         period_ns: the control period.
     """
 
-    __slots__ = ("_horizon", "_newest_ns", "_period_ns")
+    __slots__ = ("_latest_ns", "_newest_ns", "_period_ns")
 
-    def __init__(self, horizon: LockstepHorizon, period_ns: int) -> None:
-        self._horizon = horizon
+    def __init__(self, latest_ns: Callable[[], int], period_ns: int) -> None:
+        self._latest_ns = latest_ns
         self._period_ns = period_ns
         self._newest_ns = -1
 
@@ -62,29 +55,12 @@ class LockstepStamps:
 
     def look(self, stamp_ns: int) -> None:
         """As `check`, of a message that is not taken: one of the same stamp may still be."""
-        if self._newest_ns < stamp_ns <= self._horizon.latest_ns and (
-            stamp_ns % self._period_ns == 0
-        ):
-            return
         if stamp_ns <= self._newest_ns:
             raise WireError(f"stamp {stamp_ns} ns is not after {self._newest_ns} ns")
-        if stamp_ns > self._horizon.latest_ns:
+        if stamp_ns > self._latest_ns():
             raise WireError(f"stamp {stamp_ns} ns is in the future")
-        raise WireError(f"stamp {stamp_ns} ns is no multiple of {self._period_ns} ns")
-
-
-class LockstepHorizon:
-    """The latest stamp that any sender of a lock-step flight can have reached."""
-
-    __slots__ = ("_lead_ns", "latest_ns")
-
-    def __init__(self, lead_ns: int) -> None:
-        self._lead_ns = lead_ns
-        self.latest_ns = lead_ns
-
-    def move(self, now_ns: int) -> None:
-        """The node has done the tick at `now_ns`."""
-        self.latest_ns = now_ns + self._lead_ns
+        if stamp_ns % self._period_ns:
+            raise WireError(f"stamp {stamp_ns} ns is no multiple of {self._period_ns} ns")
 
 
 class RealTimeStamps:
@@ -153,15 +129,7 @@ class Refusals:
 
 
 class Door(Generic[T]):
-    """The callback of one subscription.
-
-    Args:
-        topic: its name, for the report.
-        decode: bytes to message; a PtnsbcError refuses it.
-        deliver: what takes the message.
-        refusals: of the node.
-        largest: bytes that a message may have.
-    """
+    """The callback of one subscription to `topic`: a PtnsbcError of `decode` refuses a message."""
 
     __slots__ = ("_decode", "_deliver", "_largest", "_refusals", "_topic")
 
@@ -173,11 +141,8 @@ class Door(Generic[T]):
         refusals: Refusals,
         largest: int = LARGEST_MESSAGE,
     ) -> None:
-        self._topic = topic
-        self._largest = largest
-        self._decode = decode
-        self._deliver = deliver
-        self._refusals = refusals
+        self._topic, self._largest, self._refusals = topic, largest, refusals
+        self._decode, self._deliver = decode, deliver
 
     def __call__(self, data: bytes) -> None:
         """Deliver the message, or refuse it."""
@@ -218,7 +183,9 @@ def in_lockstep(
     return decode_in_lockstep
 
 
-def in_order(decode: Callable[[bytes], S], rule: StampRule) -> Callable[[bytes], S]:
+def in_order(
+    decode: Callable[[bytes], S], rule: LockstepStamps | RealTimeStamps
+) -> Callable[[bytes], S]:
     """A decoder that also refuses by the stamp."""
     check = rule.check
 
@@ -238,10 +205,3 @@ def as_bytes(decode: Callable[[bytes], object]) -> Callable[[bytes], bytes]:
         return data
 
     return check
-
-
-def opened(
-    open_sealed: Callable[[bytes], bytes], decode: Callable[[bytes], T]
-) -> Callable[[bytes], T]:
-    """A decoder of sealed messages."""
-    return lambda data: decode(open_sealed(data))

@@ -6,6 +6,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import TypeVar
 
 from rclpy.duration import Duration
@@ -13,10 +14,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ptnsbc_nodes.comm import qos, topics
-from ptnsbc_nodes.comm.door import Door, Refusals, opened
+from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import TF, Topic, message_class
 
@@ -55,58 +55,49 @@ def wait_for_readers(publishers: Iterable[Publisher], timeout_s: float) -> bool:
     return True
 
 
+@dataclass
 class _AwaitingPublisher:
     """A publisher that a number of nodes of the fleet must hear before the flight."""
 
-    def __init__(self, node: Node, publisher: Publisher, readers: int) -> None:
-        self.publisher = publisher
-        self._node = node
-        self._readers = readers
-        self._found = False
+    node: Node
+    publisher: Publisher
+    readers: int
+    found: bool = False
 
     def is_read(self) -> bool:
         """True once enough nodes of the fleet subscribe, known by their names, and still as many of any.
 
         A viewer must not stand in for a node that has not been found yet: what that one missed would not come again.
+        So those that count are the nodes of UAVs and their bridges, the sim and the recorder.
         """
-        if self.publisher.get_subscription_count() < self._readers:
+        if self.publisher.get_subscription_count() < self.readers:
             return False
-        if not self._found:
-            infos = self._node.get_subscriptions_info_by_topic(self.publisher.topic_name)
-            self._found = sum(map(self._is_of_fleet, infos)) >= self._readers
-        return self._found
-
-    def _is_of_fleet(self, reader: TopicEndpointInfo) -> bool:
-        """True for the nodes of UAVs and their bridges, the sim and the recorder."""
-        fleet = fleet_namespace(self._node.get_namespace())
-        if fleet_namespace(reader.node_namespace) != fleet:
-            return False
-        of_uav = reader.node_namespace.rstrip("/") != fleet
-        return of_uav or reader.node_name in (topics.SIM, topics.RECORDER)
+        if not self.found:
+            fleet, count = fleet_namespace(self.node.get_namespace()), 0
+            for reader in self.node.get_subscriptions_info_by_topic(self.publisher.topic_name):
+                of_uav = reader.node_namespace.rstrip("/") != fleet
+                counts = of_uav or reader.node_name in (topics.SIM, topics.RECORDER)
+                count += counts and fleet_namespace(reader.node_namespace) == fleet
+            self.found = count >= self.readers
+        return self.found
 
 
 class Endpoints:
-    """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects.
-
-    Attributes:
-        fleet: namespace of the fleet.
-        shared: names of topics that several nodes publish in this flight.
-        refusals: messages that the doors have refused.
-        last_word: publishes one reliable message, behind those sent with best effort, when the process ends. A state
-            that is sent with best effort is not acknowledged, and is lost with the shared memory of its process when
-            its reader is slow. A reader receives the messages of one process in order: once it has acknowledged the
-            last word it has the states before it.
-    """
+    """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects."""
 
     def __init__(self, node: Node, lockstep: bool, seal: Seal | None = None) -> None:
         """`seal`: closes what is published and opens what is received; None in a fleet without one."""
         self.fleet = fleet_namespace(node.get_namespace())
-        self.shared = set(topics.SEVERAL_PUBLISHERS)
+        self.shared = set(topics.SEVERAL_PUBLISHERS)  # names of what several nodes publish
         self.refusals = Refusals()
         self.last_word: Callable[[], None] = lambda: None
-        self._node = node
-        self._lockstep = lockstep
-        self._seal = seal
+        """Publishes one reliable message, behind those sent with best effort, when the process ends.
+
+        A state that is sent with best effort is not acknowledged, and is lost with the shared memory of its process
+        when its reader is slow. A reader receives the messages of one process in order: once it has acknowledged the
+        last word it has the states before it.
+        """
+        self._node, self._lockstep, self._seal = node, lockstep, seal
         self._published: list[_AwaitingPublisher] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
@@ -142,25 +133,19 @@ class Endpoints:
         required: bool = True,
         profile: QoSProfile | None = None,
     ) -> str:
-        """Subscribe to a topic, through a `Door`.
+        """Subscribe to a topic, through a `Door`: a PtnsbcError of `decode` refuses a message.
 
-        Args:
-            topic: A `required` topic needs a publisher before the flight.
-            decode: Serialised message to what `deliver` takes; a PtnsbcError refuses the message.
-            deliver: Takes each message that is not refused.
-            required: See `topic`.
-            profile: Instead of the topic's own.
-
-        Returns:
-            The topic's name after remapping, as `unheard` has it.
+        A `required` topic needs a publisher before the flight; `profile` is used instead of the topic's own. Returns
+        the topic's name after remapping, as `unheard` has it.
         """
-        name = full_name(self._node, topic)
+        name, read = full_name(self._node, topic), decode
         if self._seal is not None:
-            decode = opened(self._seal.opener(topic, lockstep=self._lockstep), decode)
+            open_sealed = self._seal.opener(topic, lockstep=self._lockstep)
+            read = lambda data: decode(open_sealed(data))  # noqa: E731
         subscription = self._node.create_subscription(
             message_class(topic),
             name,
-            Door(name, decode, deliver, self.refusals),
+            Door(name, read, deliver, self.refusals),
             profile or qos.requested(topic, lockstep=self._lockstep),
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,
@@ -202,7 +187,12 @@ class Endpoints:
             shared = name.removeprefix(self.fleet) in self.shared
             if shared or subscription.get_publisher_count() < 2:
                 continue
-            nodes = sorted(map(_node_name, self._node.get_publishers_info_by_topic(name)))
+            nodes = sorted(
+                "an unknown node"  # as far as its participant has told it
+                if one.node_name == _UNNAMED
+                else f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+                for one in self._node.get_publishers_info_by_topic(name)
+            )
             if len(nodes) > 1:  # the graph may have lost one of them already
                 rivals.append(f"{name}: {' and '.join(nodes)} publish it")
         return rivals
@@ -228,10 +218,3 @@ class Endpoints:
             self._node.destroy_subscription(subscription)
         for ends in (self._published, self._subscriptions, self._awaited):
             ends.clear()
-
-
-def _node_name(publisher: TopicEndpointInfo) -> str:
-    """The full name of the node of a publisher, as far as its participant has told it."""
-    if publisher.node_name == _UNNAMED:
-        return "an unknown node"
-    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

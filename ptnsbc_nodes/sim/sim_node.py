@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
@@ -59,7 +60,7 @@ class SimPublishers:
         self._near_every = scenario.near_every
         self._scene_every = status_every(scenario)
         self._calls = 0
-        self._scene = Scene(scenario, world)
+        self._scene = Scene(scenario)
         ids, recorders = world.ids, edges.options.recorders
         self._templates = {
             i: OdometryTemplate(WORLD_FRAME, body_frame(i, endpoints.fleet)) for i in ids
@@ -101,7 +102,9 @@ class SimPublishers:
 
     def markers(self, stamp_ns: int) -> None:
         """Publish markers for viewers."""
-        self._send_markers(self._scene.markers(stamp_ns))
+        world = self._world
+        places = np.array([world.odometry(i)[0:3] for i in world.ids])
+        self._send_markers(self._scene.markers(stamp_ns, places, world.obstacle_positions()))
 
 
 class RealTimeWorld:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.door import LockstepHorizon, LockstepStamps, RealTimeStamps
+from ptnsbc_nodes.comm.door import LockstepStamps, RealTimeStamps
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
@@ -105,8 +105,6 @@ class LockstepClock:
     def __init__(self, scenario: Scenario) -> None:
         self._period_ns, self._near_every = scenario.timing.dt_ns, scenario.near_every
         self._status_every_ns = status_every(scenario) * scenario.timing.dt_ns
-        # The queues keep as many ticks, see `inbox`.
-        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.timing.dt_ns)
         self.pace = Pace(scenario.timing.dt_ns)  # of no timer: nothing is missed
         self._done_ns = self._seen_ns = -1  # newest tick, now and at the last look
 
@@ -124,7 +122,9 @@ class LockstepClock:
 
     def stamp_rule(self) -> LockstepStamps:
         """The rule for the stamps of a new sender."""
-        return LockstepStamps(self._horizon, self._period_ns)
+        # The queues keep as many ticks, see `inbox`.
+        lead_ns = (LEAD_TICKS + 2) * self._period_ns
+        return LockstepStamps(lambda: self.now_ns() + lead_ns, self._period_ns)
 
     def start(self, on_tick: Callable[[], None]) -> None:
         """Messages make the ticks; those of the first may be here."""
@@ -153,7 +153,6 @@ class LockstepClock:
     def done(self, tick: Tick) -> bool:
         """A tick is done; returns whether a status follows it at once."""
         self._done_ns = tick.now_ns
-        self._horizon.move(tick.now_ns)
         return tick.now_ns % self._status_every_ns == 0
 
     def status_ns(self) -> int | None:

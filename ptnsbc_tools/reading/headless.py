@@ -9,7 +9,6 @@ from typing import Any
 
 from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.types import Array
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_io.wire import HeaderTemplate, Stamped, encode_clock, encode_near
@@ -31,25 +30,6 @@ Message = tuple[str, bytes]  # topic, CDR
 
 class BagSupportError(PtnsbcError):
     """The ROS message packages that a bag needs are missing."""
-
-
-class _MarkerWorld:
-    """The flight as the world from which markers are drawn."""
-
-    def __init__(self, flight: HeadlessFlight) -> None:
-        self.ids = flight.scenario.uav_ids
-        self.tick = 0
-        self._flight = flight
-        self._row = {uav: row for row, uav in enumerate(self.ids)}
-
-    def odometry(self, uav_id: int) -> Array:
-        """Odometry vector (13,) at the current tick."""
-        return self._flight.track.odometry[self.tick, self._row[uav_id]]
-
-    def obstacle_positions(self) -> Array:
-        """Positions (O, 3) of all obstacles at the current tick."""
-        scenario = self._flight.scenario
-        return scenario.world.body_positions((self.tick * scenario.timing.dt_ns) * 1e-9)
 
 
 class _UavMessages:
@@ -95,9 +75,7 @@ class _StatusMessages:
         self._dt = scenario.timing.dt_ns * 1e-9
         self._counters = [UavCounters() for _ in scenario.uav_ids]
         self._gone = gone(scenario)
-        self._world = _MarkerWorld(flight)
-        # Only `ids`, `odometry` and `obstacle_positions` of a World are read.
-        self._scene = Scene(scenario, self._world)  # type: ignore[arg-type]
+        self._scene = Scene(scenario)
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick, in the order that a lock-step bag gives them."""
@@ -108,10 +86,11 @@ class _StatusMessages:
             counters.add(load_diagnostics(self._flight.track.diagnostics[tick, row]), self._dt)
         if tick % self._every:
             return
-        self._world.tick = tick
         for data in sorted(self._diagnostics(tick, stamp_ns)):
             yield topics.DIAGNOSTICS.name, data
-        yield topics.MARKERS.name, self._scene.markers(stamp_ns)
+        scenario, places = self._flight.scenario, self._flight.track.odometry[tick, :, 0:3]
+        obstacles = scenario.world.body_positions((tick * scenario.timing.dt_ns) * 1e-9)
+        yield topics.MARKERS.name, self._scene.markers(stamp_ns, places, obstacles)
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
         from ptnsbc_nodes.comm.diagnostics import (

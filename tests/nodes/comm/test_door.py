@@ -12,7 +12,6 @@ from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost, decode_orde
 from ptnsbc_nodes.comm.door import (
     LARGEST_MESSAGE,
     Door,
-    LockstepHorizon,
     LockstepStamps,
     RealTimeStamps,
     Refusals,
@@ -36,10 +35,10 @@ def taken(rule, *stamps):
 
 
 def test_lockstep_stamps_rise_on_the_grid_up_to_the_horizon():
-    horizon = LockstepHorizon(6 * PERIOD)
-    rule = LockstepStamps(horizon, PERIOD)
+    latest = [6 * PERIOD]
+    rule = LockstepStamps(lambda: latest[0], PERIOD)
     assert taken(rule, 0, 0, 10, 15, 5, 60, 70, 2**62, -10) == [0, 10, 60]
-    horizon.move(20)
+    latest[0] = 20 + 6 * PERIOD
     assert taken(rule, 70, 90, 80) == [70, 80]
 
 
@@ -206,7 +205,7 @@ def test_bytes_are_passed_on_when_they_are_good():
 
 
 def test_a_stamp_is_judged_after_the_message():
-    rule = LockstepStamps(LockstepHorizon(100), 1)
+    rule = LockstepStamps(lambda: 100, 1)
     decode = in_order(wire.checked_wrench, rule)
     bad = wire.WrenchTemplate("x").encode(7, np.full(6, np.nan))
     good = wire.WrenchTemplate("x").encode(5, np.ones(6))
