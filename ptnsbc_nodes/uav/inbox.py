@@ -63,10 +63,8 @@ class MessageQueue:
         is_lost: _IsLost | None = None,
     ) -> None:
         """`faults` may add to the delay of this sender's messages, by at most `fault_ticks` control periods."""
-        self._delay_ns = delay.ns
-        self._sender = sender
-        self._faults = faults
-        self._is_lost = is_lost
+        self._delay_ns, self._sender = delay.ns, sender
+        self._faults, self._is_lost = faults, is_lost
         length = _QUEUE_LENGTH + delay.ticks + fault_ticks
         self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
         self.newest_ns = -1  # stamp of the newest message, lost or not
@@ -89,30 +87,22 @@ class MessageQueue:
         if self._delay_ns:
             cutoff_ns = min(cutoff_ns, now_ns - self._delay_ns + 1)
         for message in self._messages:
-            if message.stamp_ns < cutoff_ns and not (self._faults and self._late(message, now_ns)):
-                return message
+            if message.stamp_ns >= cutoff_ns:
+                continue
+            if self._faults:  # one may keep the message from having arrived
+                added_ns = delay_ns(self._faults, self._sender, message.stamp_ns)
+                if added_ns > 0 and message.stamp_ns > now_ns - self._delay_ns - added_ns:
+                    continue
+            return message
         return None
-
-    def _late(self, message: Stamped, now_ns: int) -> bool:
-        """True if a fault keeps a message from having arrived."""
-        added_ns = delay_ns(self._faults, self._sender, message.stamp_ns)
-        return added_ns > 0 and message.stamp_ns > now_ns - self._delay_ns - added_ns
 
 
 class Inbox:
-    """The newest messages of every sender that one UAV listens to.
-
-    Attributes:
-        senders: those whose messages are used.
-        own: odometry, None before the first.
-        near: objects.
-        state_queues: formation_state of every sender that may be used, by UAV.
-        estimate_queues: leader_estimate, as above.
-    """
+    """The newest messages of every sender that one UAV listens to."""
 
     def __init__(self, senders: Senders) -> None:
-        self.senders = senders
-        self.own: Stamped | None = None
+        self.senders = senders  # those whose messages are used
+        self.own: Stamped | None = None  # odometry
         self.own_age_s = 0.0  # at the newest step
         self.near: Stamped | None = None
         self._begun = False
@@ -129,6 +119,7 @@ class Inbox:
 
         state_lost = None if losses is None else losses.state
         estimate_lost = None if losses is None else losses.estimate
+        # Of every sender that may be used, by UAV.
         self.state_queues = {i: queue(i, state_lost) for i in senders.heard_states}
         self.estimate_queues = {i: queue(i, estimate_lost) for i in senders.heard_estimators}
         self.listen_to(senders)
@@ -186,12 +177,9 @@ class Inbox:
         now_ns = self.own.stamp_ns
         if now_ns > 0:
             due_ns = now_ns - period_ns
-            for uav_id, queue in self._awaited:
-                plays_dead = (
-                    fault.sender == uav_id and fault.holds(due_ns) for fault in self._restarts
-                )
-                if queue.newest_ns < due_ns and not any(plays_dead):
-                    return False
+            late = {uav_id for uav_id, queue in self._awaited if queue.newest_ns < due_ns}
+            if late and late - {fault.sender for fault in self._restarts if fault.holds(due_ns)}:
+                return False
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -65,11 +66,8 @@ class LegServices:
         waiting_for: Callable[[], Sequence[str]],
     ) -> None:
         """`waiting_for`: empty when the leader is ready to start."""
-        self._node = node
-        self._endpoints = endpoints
-        self._flight = flight
-        self._clock = clock
-        self._waiting_for = waiting_for
+        self._node, self._endpoints, self._flight = node, endpoints, flight
+        self._clock, self._waiting_for = clock, waiting_for
         self._listeners = dict.fromkeys(flight.scenario.uav_ids, 1 + edges.options.bridged)
         leads = flight.uav == flight.scenario.leader.id
         self._publish = endpoints.publisher(
@@ -111,7 +109,9 @@ class LegServices:
             return
         self._services = [
             self._node.create_service(
-                Trigger, f"{self._endpoints.fleet}/formation/{name}", self._on_request(name)
+                Trigger,
+                f"{self._endpoints.fleet}/formation/{name}",
+                partial(self._on_request, name),
             )
             for name in self._names
         ]
@@ -127,21 +127,18 @@ class LegServices:
             self._node.destroy_service(service)
         self._services.clear()
 
-    def _on_request(self, name: str) -> Callable[[Any, Any], Any]:
-        def on_request(_request: Any, response: Any) -> Any:
-            refusal = self._refusal(name)
-            response.success = refusal is None
-            if refusal is not None:
-                response.message = refusal
-            elif name == LIST_SERVICE:
-                response.message = self._list()
-            elif name in self._words:
-                response.success, response.message = self._say(self._words[name])
-            else:
-                response.message = self._announce(name)
-            return response
-
-        return on_request
+    def _on_request(self, name: str, _request: Any, response: Any) -> Any:
+        refusal = self._refusal(name)
+        response.success = refusal is None
+        if refusal is not None:
+            response.message = refusal
+        elif name == LIST_SERVICE:
+            response.message = self._list()
+        elif name in self._words:
+            response.success, response.message = self._say(self._words[name])
+        else:
+            response.message = self._announce(name)
+        return response
 
     def _start_ns(self) -> int | None:
         """The time at which the mission begins by the wall clock; None when it does not say so, and in lock-step."""
@@ -167,19 +164,23 @@ class LegServices:
     def _list(self) -> str:
         """The legs of the mission as JSON, with the time since the first epoch."""
         scenario, now_ns = self._flight.epochs.scenario, self._clock.now_ns()
-        leg = self._flight.epochs.at(now_ns)
+        flown = self._flight.epochs.at(now_ns)
         assert scenario.mission is not None  # or there is no service
-        begun = {one.number: one for one in scenario.legs}
-        rows = [
-            {"number": CANCEL, "name": one.name, "kind": "hold", **_times(one)}
-            for one in scenario.legs
-            if one.number == CANCEL
-        ]
+
+        def row(number: int, name: str, kind: str, leg: ScheduledLeg | None) -> dict[str, Any]:
+            times = (
+                {}
+                if leg is None
+                else {"begin_s": leg.begin_s, "due_s": leg.due_s, "end_s": leg.end_s}
+            )
+            return {"number": number, "name": name, "kind": kind, **times}
+
+        begun = {leg.number: leg for leg in scenario.legs}
         names = leg_names(scenario.mission)
+        rows = [row(CANCEL, leg.name, "hold", leg) for leg in scenario.legs if leg.number == CANCEL]
         for number, block in enumerate(scenario.mission.legs, 1):
-            times = _times(begun[number]) if number in begun else {}
-            rows.append({"number": number, "name": names[number - 1], "kind": block.kind, **times})
-        now_s = None if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+            rows.append(row(number, names[number - 1], block.kind, begun.get(number)))
+        now_s = None if flown is None else (now_ns - flown.first_t0_ns) * 1e-9
         return json.dumps({"now_s": now_s, "legs": rows})
 
     def _say(self, number: int) -> tuple[bool, str]:
@@ -203,23 +204,15 @@ class LegServices:
         return True, f"leg {begun.name} from {begun.begin_s:.2f} s, due at {begun.due_s:.2f} s"
 
     def _announce(self, name: str) -> str:
-        t0_ns, leg = self._epoch_ns(name), _LEGS[name]
+        first, leg = not self._flight.epochs.announced, _LEGS[name]
+        t0_ns = self._start_ns() if first else None
+        if t0_ns is None:
+            t0_ns = self._clock.epoch_ns(first=first, at_once=name == "stop")
         if leg == FIRST_LEG and self._flight.decider is not None:
             self._flight.decider.decide(t0_ns)
         self._flight.epochs.announce(t0_ns, leg)
         self._publish(HeaderTemplate(leg).encode(t0_ns))
         return f"leg {leg} from {t0_ns * 1e-9:.3f} s"
-
-    def _epoch_ns(self, name: str) -> int:
-        first = not self._flight.epochs.announced
-        start_ns = self._start_ns() if first else None
-        if start_ns is not None:
-            return start_ns
-        return self._clock.epoch_ns(first=first, at_once=name == "stop")
-
-
-def _times(one: ScheduledLeg) -> dict[str, float]:
-    return {"begin_s": one.begin_s, "due_s": one.due_s, "end_s": one.end_s}
 
 
 def _cannot_fly(scenario: Scenario, word: Word) -> str:

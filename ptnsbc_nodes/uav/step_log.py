@@ -38,9 +38,7 @@ class TickNote(NamedTuple):
 
     sequence: int  # steps of this agent before this one; 0 after a restart of the controller
     moment: StepTime
-    used: dict[
-        str, UsedMessage
-    ]  # by the names of `sources`; a source without a message is left out
+    used: dict[str, UsedMessage]  # by the names of `sources`; without those that had no message
 
 
 def sources(senders: Senders) -> tuple[str, ...]:
@@ -86,14 +84,14 @@ def tick_note(label: str, numbers: list[int]) -> TickNote:
         raise WireError(
             f"tick with {label!r}: expected {' '.join(_STEP_FIELDS)} and pairs after it"
         )
-    sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_STEP_FIELDS)]
-    when = StepTime(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
     first = len(_STEP_FIELDS)
+    sequence, *fields, flying = numbers[:first]
+    moment = StepTime._make((*fields, bool(flying)))
     pairs = zip(names[first::2], numbers[first::2], numbers[first + 1 :: 2], strict=True)
     used = {name: UsedMessage(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
     if OWN not in used:
         raise WireError("tick without an own odometry: expected one, every step uses it")
-    return TickNote(sequence, when, used)
+    return TickNote(sequence, moment, used)
 
 
 class SnapshotTemplate:

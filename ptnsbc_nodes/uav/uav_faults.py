@@ -21,37 +21,18 @@ _MOST_INJECTED = 20  # that are remembered
 _WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed
 
 
-def _kill_this_process() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 class UavFaults:
     """The faults that strike one UAV, in the stamps of its flight.
 
-    Args:
-        scenario: of the flight.
-        uav_id: the UAV.
-        inbox: of the UAV; it takes the faults of the others.
-        lockstep: whether this process carries out its own `kill`: then the flight is the same every time. In real
-            time the launcher kills.
-        kill: ends this process.
+    In lock-step the process carries out its own `kill`: then the flight is the same every time. In real time the
+    launcher kills.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        uav_id: int,
-        inbox: Inbox,
-        lockstep: bool,
-        kill: Callable[[], None] = _kill_this_process,
-    ) -> None:
+    def __init__(self, scenario: Scenario, uav_id: int, inbox: Inbox, lockstep: bool) -> None:
+        """`inbox`: of the UAV; it takes the faults of the others."""
         self.allowed = scenario.faults is not None
-        self.injected: list[str] = []
-        """The faults that were injected in flight, in words."""
-        self._uav = uav_id
-        self._inbox = inbox
-        self._lockstep = lockstep
-        self._kill = kill
+        self.injected: list[str] = []  # in flight, in words
+        self._uav, self._inbox, self._lockstep = uav_id, inbox, lockstep
         self._scenario = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
         self._count = len(scenario.faults or ())
         self._own: list[tuple[FaultBlock, int]] = []  # with the instant from which its time counts
@@ -87,7 +68,7 @@ class UavFaults:
         if self._lockstep and any(
             strikes(fault, "kill", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
         ):
-            self._kill()
+            os.kill(os.getpid(), signal.SIGKILL)
 
     def plays_dead(self, now_ns: int) -> bool:
         """Lock-step: whether a restart has this process silent; none can be started at a tick, so it plays that."""

@@ -26,25 +26,17 @@ from ptnsbc_sim.scenario.slots import are_open, optimal_slots
 
 
 class SlotDecider:
-    """Decides the slots of an epoch from the newest odometry of all UAVs.
-
-    Args:
-        scenario: of the flight.
-        announce: sends a decision.
-    """
+    """Decides the slots of an epoch from the newest odometry of all UAVs."""
 
     def __init__(self, scenario: Scenario, announce: Callable[[Decision], None]) -> None:
+        """`announce`: sends a decision."""
         import scipy.optimize  # noqa: F401 - now, and not when a flight waits for the decision
 
-        self._scenario = scenario
+        self.scenario = scenario  # the mission as it goes on after a word
         self._announce = announce
         self._newest: dict[int, Stamped] = {}
         self._epoch_ns: int | None = None  # waits for odometry
         self._first_ns: int | None = None  # the first epoch, from which places that move count
-
-    def follow(self, scenario: Scenario) -> None:
-        """Decide by the mission as it goes on after a word."""
-        self._scenario = scenario
 
     def on_odometry(self, uav_id: int, own: Stamped) -> None:
         """Take the newest odometry of a UAV."""
@@ -54,7 +46,7 @@ class SlotDecider:
 
     def unknown(self, since_ns: int) -> list[int]:
         """UAVs whose odometry is missing or older than `since_ns`."""
-        found = {uav: self._newest.get(uav) for uav in self._scenario.uav_ids}
+        found = {uav: self._newest.get(uav) for uav in self.scenario.uav_ids}
         return [uav for uav, own in found.items() if own is None or own.stamp_ns < since_ns]
 
     def decide(self, t0_ns: int) -> None:
@@ -62,11 +54,11 @@ class SlotDecider:
         self._epoch_ns = t0_ns
         if self._first_ns is None:
             self._first_ns = t0_ns
-        if len(self._newest) == len(self._scenario.uav_ids):
+        if len(self._newest) == len(self.scenario.uav_ids):
             self._epoch_ns = None
             positions = {uav: at_epoch(own, t0_ns) for uav, own in self._newest.items()}
             since_s = (t0_ns - self._first_ns) * 1e-9
-            self._announce(Decision(t0_ns, optimal_slots(self._scenario, positions, since_s)))
+            self._announce(Decision(t0_ns, optimal_slots(self.scenario, positions, since_s)))
 
 
 def at_epoch(own: Stamped, t0_ns: int) -> Array:
@@ -151,7 +143,7 @@ class UavFlight:
             self.scenario = mission
             self.controller.follow(mission)
             if self.decider is not None:
-                self.decider.follow(mission)
+                self.decider.scenario = mission
         leg = self.leg(tick.now_ns)
         if leg is not None and not self._at_start:
             self._at_start = True

@@ -1,5 +1,7 @@
 """The faults of one UAV's process."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -22,8 +24,15 @@ MANY = [
 def faults_of(uav, faults, *, lockstep=False):
     scenario = load_scenario("paper_5", {"faults": faults, "timing.duration_s": 2.5})
     inbox = Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav))
-    killed = []
-    return UavFaults(scenario, uav, inbox, lockstep, lambda: killed.append(uav)), inbox, killed
+    return UavFaults(scenario, uav, inbox, lockstep), inbox
+
+
+@pytest.fixture
+def killed(monkeypatch):
+    """The processes that a UAV has ended."""
+    pids = []
+    monkeypatch.setattr(os, "kill", lambda pid, _signal: pids.append(pid))
+    return pids
 
 
 def state(stamp_ns: int) -> Stamped:
@@ -32,7 +41,7 @@ def state(stamp_ns: int) -> Stamped:
 
 def test_a_process_receives_what_the_headless_flight_receives():
     """In lock-step the two must not differ by one message."""
-    faults, inbox, _ = faults_of(3, MANY, lockstep=True)
+    faults, inbox = faults_of(3, MANY, lockstep=True)
     scenario = load_scenario("paper_5", {"faults": MANY, "timing.duration_s": 2.5})
     faults.begin(0)
     expected, dt_ns = last_state_received(scenario, 3, 2), scenario.timing.dt_ns
@@ -43,7 +52,7 @@ def test_a_process_receives_what_the_headless_flight_receives():
 
 
 def test_faults_count_from_the_first_epoch_and_only_once():
-    faults, inbox, _ = faults_of(3, [{"kind": "silence", "uav": 2, "at_s": 1}])
+    faults, inbox = faults_of(3, [{"kind": "silence", "uav": 2, "at_s": 1}])
     before, after = EPOCH_NS + 990_000_000, EPOCH_NS + 1_010_000_000
     inbox.on_state(2, state(2_000_000_000))  # before the epoch nothing is struck
     faults.begin(EPOCH_NS)
@@ -54,19 +63,19 @@ def test_faults_count_from_the_first_epoch_and_only_once():
     assert inbox.state_queues[2].newest_ns == after
 
 
-def test_in_lockstep_a_uav_ends_itself_at_its_tick():
-    faults, _, killed = faults_of(2, [{"kind": "kill", "uav": 2, "at_s": 1}], lockstep=True)
+def test_in_lockstep_a_uav_ends_itself_at_its_tick(killed):
+    faults, _ = faults_of(2, [{"kind": "kill", "uav": 2, "at_s": 1}], lockstep=True)
     faults.begin(0)
     faults.strike(990_000_000)
     assert killed == []
     faults.strike(1_000_000_000)
-    assert killed == [2]
+    assert killed == [os.getpid()]
 
 
 @pytest.mark.parametrize(("uav", "lockstep"), [(2, False), (3, True)])
-def test_in_real_time_the_launcher_kills_and_nobody_ends_for_another(uav, lockstep):
+def test_in_real_time_the_launcher_kills_and_nobody_ends_for_another(killed, uav, lockstep):
     fault = [{"kind": "kill", "uav": 2, "at_s": 1}]
-    faults, _, killed = faults_of(uav, fault, lockstep=lockstep)
+    faults, _ = faults_of(uav, fault, lockstep=lockstep)
     faults.begin(0)
     faults.strike(2_000_000_000)
     assert killed == []
@@ -77,7 +86,7 @@ def test_what_a_uav_sends_is_struck_within_the_time_of_the_fault():
         {"kind": "nan", "uav": 2, "at_s": 1, "duration_s": 1},
         {"kind": "clock_offset", "uav": 2, "at_s": 1.5, "duration_s": 1, "offset_s": -0.25},
     ]
-    faults, _, _ = faults_of(2, both)
+    faults, _ = faults_of(2, both)
     assert faults.sent(state(EPOCH_NS)).values.all()
     faults.begin(EPOCH_NS)
     found = [faults.sent(state(EPOCH_NS + t)) for t in (0, 1_000_000_000, 1_600_000_000)]
@@ -90,7 +99,7 @@ def test_what_a_uav_sends_is_struck_within_the_time_of_the_fault():
 
 
 def test_an_operators_fault_begins_now_and_is_remembered_in_words():
-    faults, inbox, _ = faults_of(3, [])
+    faults, inbox = faults_of(3, [])
     faults.begin(EPOCH_NS)
     now_ns = EPOCH_NS + 12_340_000_000
     fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0, "duration_s": 1})
@@ -103,7 +112,7 @@ def test_an_operators_fault_begins_now_and_is_remembered_in_words():
 
 
 def test_what_is_remembered_is_limited():
-    faults, _, _ = faults_of(3, [])
+    faults, _ = faults_of(3, [])
     fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0})
     for _ in range(100):
         faults.inject(fault, 0)
