@@ -45,11 +45,9 @@ def localhost(processes: int) -> str:
 
 
 def static_peers(addresses: Sequence[str], processes: int = PROCESSES) -> str:
-    """The profile of a fleet on these computers; the same file for all of them.
+    """The profile of a fleet on these computers, by addresses or names; the same file for all of them.
 
-    Args:
-        addresses: IPv4 address of each computer, or a name that resolves to one.
-        processes: How many are looked for on each computer.
+    `processes` are looked for on each computer.
     """
     if not addresses:
         raise NetworkError("no computer named: expected the address of each computer of the fleet")
@@ -64,11 +62,9 @@ def static_peers(addresses: Sequence[str], processes: int = PROCESSES) -> str:
 
 
 def discovery_client(servers: Sequence[Server], *, everything: bool = False) -> str:
-    """The profile of a fleet whose processes find each other through servers.
+    """The profile of a fleet whose processes find each other through servers, in the order of their ids.
 
-    Args:
-        servers: In the order of their ids, 0 first.
-        everything: Learn of every topic, not only of its own: for tools that list topics.
+    With `everything` a process learns of every topic, not only of its own: for tools that list topics.
     """
     if not servers:
         raise NetworkError("no server named: expected ADDRESS or ADDRESS:PORT of one")
@@ -108,20 +104,14 @@ def checked(profile: Path) -> Path:
 
     Fast DDS ignores a profile that it cannot read and uses multicast instead. So this refuses such a profile.
     """
+    expected = "expected a profile, as `ptnsbc network` writes it"
     try:
         root = ElementTree.parse(profile).getroot()
-    except OSError as error:
-        raise NetworkError(
-            f"{profile}: {error.strerror}: expected a profile, as `ptnsbc network` writes it"
-        ) from None
-    except ElementTree.ParseError as error:
-        raise NetworkError(
-            f"{profile}: {error}: expected XML, as `ptnsbc network` writes it"
-        ) from None
+    except (OSError, ElementTree.ParseError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise NetworkError(f"{profile}: {reason}: {expected}") from None
     if not any(element.tag.rpartition("}")[2] == "participant" for element in root.iter()):
-        raise NetworkError(
-            f"{profile}: no <participant> in it: expected a profile, as `ptnsbc network` writes it"
-        )
+        raise NetworkError(f"{profile}: no <participant> in it: {expected}")
     return profile.resolve()
 
 
@@ -151,9 +141,5 @@ def _filled(template: str, **values: str) -> str:
 
 
 def _shipped(name: str) -> str:
-    return (
-        files("ptnsbc_nodes.runtime")
-        .joinpath("profiles", name)
-        .read_text(encoding="utf-8")
-        .rstrip("\n")
-    )
+    file = files("ptnsbc_nodes.runtime").joinpath("profiles", name)
+    return file.read_text(encoding="utf-8").rstrip("\n")

@@ -191,6 +191,20 @@ def free_domain() -> Iterator[int]:
     raise DomainError("every ROS domain from 1 to 101 is in use: set ROS_DOMAIN_ID")
 
 
+def flying_domains() -> list[int]:
+    """The domains that launchers of this host have reserved, and in which processes are."""
+    return [domain for domain in _DOMAINS if not _is_unused(domain) and _is_reserved(domain)]
+
+
+def _is_reserved(domain: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
+        try:
+            lock.bind(("", _FIRST_LOCK + domain))
+        except OSError:
+            return True
+    return False
+
+
 def _is_unused(domain: int) -> bool:
     """True if the ports of the first participants of the domain are free."""
     for participant in range(_FIRST_PARTICIPANTS):

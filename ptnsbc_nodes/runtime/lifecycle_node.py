@@ -92,30 +92,16 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics, timers and services."""
-
-        def configure() -> None:
-            self.work = self._make()
-
-        return self._transition(configure)
+        return self._transition(lambda: setattr(self, "work", self._make()))
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to act."""
         gc.freeze()  # what was made so far lives as long as the node works: no collection need look at it
-
-        def activate() -> None:
-            if self.work is not None:
-                self.work.activate()
-
-        return self._transition(activate)
+        return self._transition(self.work.activate if self.work is not None else lambda: None)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop acting."""
-
-        def deactivate() -> None:
-            if self.work is not None:
-                self.work.deactivate()
-
-        return self._transition(deactivate)
+        return self._transition(self.work.deactivate if self.work is not None else lambda: None)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Remove them again."""

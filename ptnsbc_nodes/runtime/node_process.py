@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 import rclpy
 from rclpy.context import Context
@@ -24,6 +24,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
@@ -69,12 +70,9 @@ def run(
     argv: Sequence[str] | None,
     body: Callable[[argparse.Namespace, list[str]], int],
 ) -> int:
-    """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2.
+    """Parse and run `body(arguments, argv)`, which returns the exit code; a user's error is one line and exit 2.
 
-    Args:
-        parser: Of the arguments that are not ROS's.
-        argv: The arguments, those of the process by default.
-        body: Returns the exit code.
+    `parser` is of the arguments that are not ROS's; `argv` are those of the process by default.
     """
     full = list(sys.argv if argv is None else (parser.prog, *argv))
     if argv is None:
@@ -158,13 +156,6 @@ def report_finished(summary: str) -> None:
     launcher.report_finished(summary)
 
 
-class _Endpoints(Protocol):
-    @property
-    def last_word(self) -> Callable[[], None]: ...
-
-    def flush(self, timeout_s: float) -> None: ...
-
-
 class ProcessLifetime:
     """From the start of a process to SIGINT, SIGTERM or its own end.
 
@@ -188,26 +179,17 @@ class ProcessLifetime:
         return self._signalled or self._done.done()
 
     def serve(
-        self, node: Node, endpoints: _Endpoints, rest_s: Callable[[], float | None] | None = None
-    ) -> None:
-        """Run callbacks of a node until the end; then let readers catch up.
-
-        Args:
-            node: Served.
-            endpoints: Of `node`.
-            rest_s: For a node that uses its messages at ticks only: after a tick the time [s] until the next one, for
-                which messages wait, and None after other callbacks. So messages come all at once, and do not wake the
-                process one by one.
-        """
-        self.serve_all([node], lambda: [endpoints], rest_s)
-
-    def serve_all(
         self,
         nodes: Sequence[Node],
-        endpoints: Callable[[], Sequence[_Endpoints]],
+        endpoints: Callable[[], Sequence[Endpoints]],
         rest_s: Callable[[], float | None] | None = None,
     ) -> None:
-        """As `serve`, for several nodes of one process; `endpoints` are asked for at the end."""
+        """Run callbacks of the nodes of this process until the end; then let readers catch up.
+
+        `endpoints` are asked for at the end. `rest_s` is for a node that uses its messages at ticks only: after a tick
+        the time [s] until the next one, for which messages wait, and None after other callbacks. So messages come all
+        at once, and do not wake the process one by one.
+        """
         context = nodes[0].context
         executor: Any = make_executor(context)
         for node in nodes:
@@ -280,7 +262,7 @@ def serve_managed(
     if autostart:
         for node in nodes:
             node.autostart()
-    lifetime.serve_all(nodes, lambda: [node.work.endpoints for node in nodes if node.work])
+    lifetime.serve(nodes, lambda: [node.work.endpoints for node in nodes if node.work])
     for node in nodes:
         node.finish()
     return int(any(node.broken for node in nodes))

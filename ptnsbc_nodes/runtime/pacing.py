@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -152,17 +152,6 @@ class Ticker:
         self._timer.reset()
 
 
-class Offset(NamedTuple):
-    """The clock of a sender, compared with ours."""
-
-    name: str  # of the topic whose stamps differ
-    ahead_s: float  # our clock minus the sender's, plus the least delay of its messages
-
-    def __str__(self) -> str:
-        way = "ahead of" if self.ahead_s > 0 else "behind"
-        return f"clock {abs(self.ahead_s):.2f} s {way} {self.name}"
-
-
 class _Least:
     """The least age [s] of one sender's messages in the last one to two windows."""
 
@@ -192,13 +181,10 @@ class _Least:
 
 
 class ClockOffsetMonitor:
-    """Compares our clock with the stamps of messages.
-
-    Args:
-        names: Of the topics, in the order of the messages in `look`.
-    """
+    """Compares our clock with the stamps of messages."""
 
     def __init__(self, names: Sequence[str]) -> None:
+        """`names`: of the topics, in the order of the messages in `look`."""
         self._names = tuple(names)
         self._least = [_Least() for _ in names]
 
@@ -209,9 +195,12 @@ class ClockOffsetMonitor:
                 least.add(now_ns, message)
 
     @property
-    def offset(self) -> Offset | None:
-        """The clock farthest from ours, if it is at least `LIMIT_S` away."""
-        ages = ((name, least.age_s) for name, least in zip(self._names, self._least, strict=True))
-        known = [Offset(name, age_s) for name, age_s in ages if age_s is not None]
-        worst = max(known, key=lambda one: abs(one.ahead_s), default=None)
-        return worst if worst is not None and abs(worst.ahead_s) >= LIMIT_S else None
+    def offset(self) -> str:
+        """The clock farthest from ours in words; empty unless it is at least `LIMIT_S` away."""
+        ages = ((least.age_s, name) for least, name in zip(self._least, self._names, strict=True))
+        known = [(age_s, name) for age_s, name in ages if age_s is not None]
+        # Our clock minus the sender's, plus the least delay of its messages.
+        ahead_s, name = max(known, key=lambda of: abs(of[0]), default=(0.0, ""))
+        if abs(ahead_s) < LIMIT_S:
+            return ""
+        return f"clock {abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} {name}"

@@ -55,7 +55,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_punctuality()
         graph = CommunicationGraph(settings.scenario, settings.options)
         sim = sim_node(node, settings.scenario, graph, lifetime.end)
-        lifetime.serve(node, sim.endpoints, rest_s=sim.rest_s)
+        lifetime.serve([node], lambda: [sim.endpoints], sim.rest_s)
     return 0
 
 

@@ -88,7 +88,7 @@ class RealTimeClock:
     @property
     def offset(self) -> str:
         """The clock that differs most from ours, in words; empty while none differs much."""
-        return str(self._offsets.offset or "")
+        return self._offsets.offset
 
     def status_ns(self) -> int | None:
         """The instant of the status that is due by wall time."""

@@ -6,7 +6,6 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters
@@ -32,8 +31,6 @@ from ptnsbc_sim.scenario.slots import are_open
 
 LEGS = ("hold", "land", "stop")
 """The services of the leader that a viewer may call."""
-_LOCK = re.compile(r"@ptnsbc-domain-(\d+)$", re.MULTILINE)
-_SOCKETS = Path("/proc/net/unix")
 _CONTROLLER = re.compile(r"(.*)/uav(\d+)")
 _LOOK_S = 0.1
 _ANSWER_S = 3.0
@@ -41,15 +38,6 @@ _ANSWER_S = 3.0
 
 class ViewError(PtnsbcError):
     """No fleet to look at."""
-
-
-def flying_domains() -> list[int]:
-    """The ROS domains that fleets of this host have reserved."""
-    try:
-        sockets = _SOCKETS.read_text()
-    except OSError:
-        return []
-    return sorted({int(number) for number in _LOCK.findall(sockets)})
 
 
 class FleetListener:

@@ -57,7 +57,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
                 scenario = observer.scenario(_PATIENCE_S, lambda: lifetime.over)
         check_enforced(scenario)
         operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal_of(scenario))
-        lifetime.serve(node, operator.endpoints)
+        lifetime.serve([node], lambda: [operator.endpoints])
         operator.close()
     return 0
 

@@ -322,8 +322,8 @@ def _watched_domain(domain: int | None) -> int:
     """
     if domain is not None or os.environ.get("ROS_DOMAIN_ID"):
         return ros.domain_number(domain)
-    with ros.required():
-        from ptnsbc_nodes.view.observer import flying_domains
+    from ptnsbc_nodes.runtime.environment import flying_domains
+
     flying = flying_domains()
     if len(flying) == 1:
         return flying[0]

@@ -104,7 +104,7 @@ def test_names_are_resolved():
     ("text", "words"),
     [
         (None, "No such file"),
-        ("<dds>", "expected XML"),
+        ("<dds>", "no element found.*: expected a profile"),
         ("<dds><profiles/></dds>", "no <participant>"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import os
 import resource
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,16 @@ def test_of_a_free_domain_the_user_need_not_say(monkeypatch):
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         with environment.free_domain() as other:
             assert other != domain
+
+
+def test_a_reserved_domain_in_which_processes_are_flies(no_domain):
+    """A viewer looks there when no domain is named."""
+    with reserved_domain() as domain:
+        assert domain not in environment.flying_domains()  # nobody is there yet
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+            participant.bind(("", 7400 + 250 * domain + 10))
+            assert domain in environment.flying_domains()
+    assert domain not in environment.flying_domains()
 
 
 def test_the_users_domain_wins(monkeypatch):

@@ -106,7 +106,7 @@ NODE = textwrap.dedent(
         with ros_context(argv), ros_node("spinner", "", parameters=[]) as node:
             node.create_timer(0.5, lambda: print("tick", flush=True))
             began = time.process_time()
-            lifetime.serve(node, Quiet())
+            lifetime.serve([node], lambda: [Quiet()])
             print(time.process_time() - began, flush=True)
         return 0
 
@@ -174,7 +174,7 @@ def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeyp
     )
     lifetime = processes.ProcessLifetime()
     lifetime.end()
-    lifetime.serve_all([node], lambda: [Deaf(words) for _ in range(5)])
+    lifetime.serve([node], lambda: [Deaf(words) for _ in range(5)])
     assert words == [0.0] * 5
     assert Deaf.now_s == processes.FLUSH_S
 
@@ -196,7 +196,7 @@ def test_messages_of_a_node_that_uses_them_at_ticks_wait_for_the_next_one(ros, m
     monkeypatch.setattr(processes, "time", clock)
     executor = SimpleNamespace(add_node=id, shutdown=int, spin_once=spin_once)
     monkeypatch.setattr(processes, "make_executor", lambda _: executor)
-    lifetime.serve(node, Deaf([]), rest_s=lambda: next(ticks))
+    lifetime.serve([node], lambda: [Deaf([])], rest_s=lambda: next(ticks))
     served = ("served", processes._SIGNAL_CHECK_S)
     assert happened == [
         *(served, served, ("rested", 0.015)),
@@ -215,7 +215,7 @@ def test_a_tick_leaves_nothing_behind(ros, monkeypatch):
             lifetime.end()
 
     node.create_timer(0.0005, tick)
-    lifetime.serve(node, Deaf([]), rest_s=lambda: 0.0)
+    lifetime.serve([node], lambda: [Deaf([])], rest_s=lambda: 0.0)
     # The list of figures itself takes one block for each.
     assert blocks[-1] - blocks[200] < 1000 + 500
 
