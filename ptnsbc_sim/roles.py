@@ -15,13 +15,7 @@ from ptnsbc_core.types import NEVER_RECEIVED_S, AgentState, Array, NeighbourMoti
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import (
-    Formations,
-    View,
-    changed,
-    joins_ns,
-    leaves_ns,
-)
+from ptnsbc_sim.scenario.slots import Formations, View, changed
 
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -115,7 +109,7 @@ def _looks(
     seen = [dead, seconds((ticks - woke) * scenario.timing.dt_ns) <= stale_s]
     seen += [of > stale_s for of in ages.values()]
     seen += [of >= NEVER_RECEIVED_S for of in ages.values()]
-    seen += [since_ns >= joins_ns(scenario, uav) for uav in scenario.uav_ids]
-    seen += [since_ns >= leaves_ns(scenario, uav) for uav in scenario.uav_ids]
+    seen += [since_ns >= scenario.uav(uav).joins_ns for uav in scenario.uav_ids]
+    seen += [since_ns >= scenario.uav(uav).leaves_ns for uav in scenario.uav_ids]
     changes = [np.flatnonzero(np.diff(one.astype(np.int64))) + 1 for one in seen]
     return np.unique(np.concatenate([[0], *changes]))

@@ -32,7 +32,7 @@ from ptnsbc_sim.plugins.loop import PluginLoop
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
+from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.tick import Loop, SwarmState, advance_all, sense, step_all
 from ptnsbc_sim.track import FlightTrack, track_of
@@ -170,7 +170,7 @@ def _take_role(
 
 def slots_at_start(scenario: Scenario) -> Mapping[int, int]:
     """The slots by the positions that the UAVs measure at the first tick; empty where each has its own."""
-    if not are_open(scenario):
+    if not scenario.formation.has_open_slots:
         return {}
     world = World(scenario)
     return optimal_slots(scenario, {uav: world.odometry(uav)[0:3] for uav in world.ids})

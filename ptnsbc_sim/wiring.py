@@ -12,7 +12,7 @@ from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario, several_parents
-from ptnsbc_sim.scenario.slots import NEVER_NS, joins_ns, leaves_ns
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 
 
 class ParentRows(NamedTuple):
@@ -117,6 +117,6 @@ def wiring_of(scenario: Scenario) -> Wiring:
         int(scenario.timing.physics_hz // scenario.timing.control_hz),
         int(scenario.timing.dt_ns),
         PLANTS[scenario.plant.kind],
-        np.array([joins_ns(scenario, uav) for uav in ids], dtype=np.int64),
-        np.array([min(landing_ns, leaves_ns(scenario, uav)) for uav in ids], dtype=np.int64),
+        np.array([scenario.uav(uav).joins_ns for uav in ids], dtype=np.int64),
+        np.array([min(landing_ns, scenario.uav(uav).leaves_ns) for uav in ids], dtype=np.int64),
     )

@@ -31,7 +31,6 @@ from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_nodes.sim.sim_node import sim_node
 from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.scenario.slots import are_open
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
 SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
@@ -138,7 +137,7 @@ def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterato
     options_of_bag = {
         "lockstep": lockstep,
         "with_truth": not options.bridged,
-        "with_slots": are_open(scenario),
+        "with_slots": scenario.formation.has_open_slots,
         "with_stream": scenario.takes_setpoints,
     }
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]

@@ -21,7 +21,6 @@ from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack, note
@@ -94,7 +93,7 @@ def fly_tuned(scenario: Scenario, law: str, progress: Progress | None = None) ->
     """One flight by a law that `law_scenario` has tuned, from the starts of this scenario."""
     if law not in _REACHING:
         return swarm.fly(scenario, progress)
-    if are_open(scenario):
+    if scenario.formation.has_open_slots:
         raise BaselineError(
             f"law {law} with formation.assignment {scenario.formation.assignment}: expected fixed"
         )

@@ -26,7 +26,6 @@ from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.slots import are_open
 
 _LEADER = (0.95, 0.55, 0.1, 1.0)  # red, green, blue, opacity
 _FOLLOWER = (0.15, 0.45, 0.85, 1.0)
@@ -57,7 +56,11 @@ class Scene:
     def __init__(self, scenario: Scenario) -> None:
         ids = scenario.uav_ids
         self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
-        tree = {} if are_open(scenario) else {i: scenario.communication.parent(i) for i in ids}
+        tree = (
+            {}
+            if scenario.formation.has_open_slots
+            else {i: scenario.communication.parent(i) for i in ids}
+        )
         edges = [end for edge in tree.items() if edge[1] is not None for end in edge]
         self._rows = [ids.index(uav) for uav in (*ids, *ids, *edges) if uav is not None]
         self._moving = [k for k, body in enumerate(scenario.world.bodies) if body.path is not None]

@@ -12,7 +12,7 @@ from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
 from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
-from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
+from ptnsbc_sim.scenario.slots import Slots, with_slots
 
 LEAD_TICKS = 4
 """In lock-step a vehicle is at most this many ticks ahead of the slowest: bounds what an inbox keeps."""
@@ -80,7 +80,7 @@ class CommunicationGraph:
         """The senders that this UAV listens to."""
         scenario = self._scenario
         # A UAV may get another slot, and the edges of that slot; otherwise it only loses edges.
-        reassigns = are_open(scenario) or scenario.formation.vacancy == "close_up"
+        reassigns = scenario.formation.has_open_slots or scenario.formation.vacancy == "close_up"
         others = [i for i in scenario.uav_ids if i != uav_id]
         return Senders(
             parent=scenario.communication.parent(uav_id),
@@ -112,7 +112,10 @@ class CommunicationGraph:
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
         """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""
-        if not are_open(self._scenario) and not self._scenario.formation.reconfigures:
+        if (
+            not self._scenario.formation.has_open_slots
+            and not self._scenario.formation.reconfigures
+        ):
             return ()
         return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))
 
@@ -128,10 +131,14 @@ class CommunicationGraph:
     def heard_by(self, uav_id: int) -> tuple[Topic, ...]:
         """The topics of a flight that the controller of a UAV reads."""
         scenario, senders = self._scenario, self.senders(uav_id)
-        decides = are_open(scenario) and uav_id == scenario.leader.id
+        decides = scenario.formation.has_open_slots and uav_id == scenario.leader.id
         return (
             *map(topics.odom, scenario.uav_ids if decides else (uav_id,)),
-            *(topics.near(uav_id), topics.EPOCH, *((topics.SLOTS,) if are_open(scenario) else ())),
+            *(
+                topics.near(uav_id),
+                topics.EPOCH,
+                *((topics.SLOTS,) if scenario.formation.has_open_slots else ()),
+            ),
             *map(topics.formation_state, senders.heard_states),
             *map(topics.leader_estimate, senders.heard_estimators),
         )

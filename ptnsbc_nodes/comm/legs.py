@@ -8,9 +8,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
-from ptnsbc_sim.scenario.slots import NEVER_NS, leaves_ns
 
 FIRST_LEG = "form"
 _MOST_LEGS = 256  # that are remembered
@@ -126,7 +126,7 @@ class Epochs:
             return None
         since_ns = NEVER_NS if self._landing_ns is None else self._landing_ns
         if uav_id is not None:
-            since_ns = min(since_ns, leaves_ns(self.scenario, uav_id))
+            since_ns = min(since_ns, self.scenario.uav(uav_id).leaves_ns)
         t0_ns = leg.first_t0_ns + since_ns
         if not leg.t0_ns <= t0_ns <= now_ns:
             return None

@@ -15,7 +15,6 @@ from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import starts_by_clock
-from ptnsbc_sim.scenario.slots import are_open
 
 BRIDGE = "ptnsbc_nodes.bridge.bridge_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
@@ -193,7 +192,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments += ["--draw", str(scenario_file)]
     chosen = {
         "--truth": options.scenario.imperfect or options.backend == "mavlink",
-        "--slots": are_open(options.scenario),
+        "--slots": options.scenario.formation.has_open_slots,
         "--stream": options.scenario.takes_setpoints,
         "--signed": options.scenario.security == "signed",
         "--overwrite": options.overwrite,

@@ -15,7 +15,6 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import are_open
 
 VERSION = "0.2.0"
 FLEET, OPERATOR = "fleet", "operator"
@@ -82,7 +81,11 @@ def enclaves(
 
 def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int) -> Enclave:
     leads = uav == scenario.leader.id or uav in scenario.leader.successors
-    told = (topics.EPOCH, topics.TAKEN, *((topics.SLOTS,) if are_open(scenario) else ()))
+    told = (
+        topics.EPOCH,
+        topics.TAKEN,
+        *((topics.SLOTS,) if scenario.formation.has_open_slots else ()),
+    )
     return Enclave(
         f"uav{uav}",
         (f"uav{uav}/controller",),

@@ -22,7 +22,7 @@ from ptnsbc_nodes.uav.uav_controller import StepTime, Tick, UavController, step_
 from ptnsbc_nodes.uav.uav_faults import UavFaults
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import are_open, optimal_slots
+from ptnsbc_sim.scenario.slots import optimal_slots
 
 
 class SlotDecider:
@@ -87,7 +87,7 @@ class UavFlight:
         self.controller = UavController(scenario, uav_id, edges, plugins)
         self.inbox = self.controller.inbox
         self.faults = UavFaults(scenario, uav_id, self.inbox, edges.options.lockstep)
-        self.decided = DecidedSlots(scenario) if are_open(scenario) else None
+        self.decided = DecidedSlots(scenario) if scenario.formation.has_open_slots else None
         self.decider: SlotDecider | None = None  # of the leader, where slots are open
         # A bridge brings its vehicle to the start before the first leg.
         self._at_start = not edges.options.bridged

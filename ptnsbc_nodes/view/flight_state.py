@@ -18,7 +18,7 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.reading.reader import find, read_text
-from ptnsbc_sim.scenario.slots import are_open, with_slots
+from ptnsbc_sim.scenario.slots import with_slots
 
 SILENT_S = 2.0
 """A process whose last status is older than this is shown as silent."""
@@ -53,7 +53,7 @@ class FlightState:
         """A leg was announced."""
         self.epochs.announce(leg.stamp_ns, leg.frame_id)
         flown = self.epochs.scenario
-        if flown is not self._file and not are_open(flown):
+        if flown is not self._file and not flown.formation.has_open_slots:
             self._file = flown  # a word on a leg of the mission
             self.scenario = flown
             self.flown_anew += 1

@@ -27,7 +27,6 @@ from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
 from ptnsbc_nodes.runtime.node_process import BoundedSpin
 from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import are_open
 
 LEGS = ("hold", "land", "stop")
 """The services of the leader that a viewer may call."""
@@ -60,7 +59,7 @@ class FleetListener:
         self._listen(topics.OVER, decode_header, lambda _over: setattr(processes, "over", True))
         if scenario.takes_setpoints:
             self._listen(topics.TAKEN, OdometryDecoder(), state.on_taken)
-        if are_open(scenario):
+        if scenario.formation.has_open_slots:
             self._listen(topics.SLOTS, state.decided.decode, state.on_slots)
 
     def look(self) -> bool:

@@ -17,7 +17,7 @@ from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.fault_rules import FOR_EVER_NS, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, FaultBlock
 
 _GONE = ("kill", "restart")
 _SILENCING = ("silence", "nan", *_GONE)  # a receiver refuses what is no number
@@ -162,7 +162,7 @@ def jumps_of(scenario: Scenario) -> Array:
     for fault in scenario.faults or ():
         if fault.kind == "jump" and fault.struck_uav is not None and fault.offset_m is not None:
             start_ns, end_ns = fault.window_ns(0)
-            last_ns = min(end_ns, FOR_EVER_NS)
+            last_ns = min(end_ns, NEVER_NS)
             first, end = -(-start_ns // scenario.timing.dt_ns), -(-last_ns // scenario.timing.dt_ns)
             rows.append((scenario.uav_ids.index(fault.struck_uav), first, end, *fault.offset_m))
     return np.array(rows, dtype=np.float64).reshape(-1, _JUMP_COLUMNS)

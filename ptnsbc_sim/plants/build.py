@@ -33,7 +33,7 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     return PlantConfig(
         kind,
         float(vehicle.mass_kg * uav.mass_scale),
-        three(vehicle.inertia_kg_m2 * uav.inertia_scale),
+        three(np.multiply(vehicle.inertia_kg_m2, uav.inertia_scale)),
         float(scenario.world.gravity_m_s2),
         max_thrust,
         max_torque,

@@ -64,7 +64,7 @@ class Estimator(Block):
 
 
 class ClearanceGains(Loop):
-    """Clearance from obstacles and from other UAVs."""
+    """Clearance from obstacles and other UAVs; its deadline counts from the start of each encounter."""
 
     margin_m: NotNegative
     """Distance added to every keep-out radius."""
@@ -179,27 +179,18 @@ class Gains(Block):
     attitude: Loop
     """Loop of the attitude, plant with six inputs."""
     estimator: Estimator
-    """Estimator of the leader's state."""
     force: Loop
     """Velocity loop."""
     torque: Loop
     """Body-rate loop."""
     clearance: ClearanceGains
-    """Loop of the clearance; its deadline counts from the start of each encounter."""
     filter: Filter
-    """Command filter."""
     adaptation: Adaptation
-    """Adaptive part of the controller."""
     boundary: Boundary
-    """Width of the saturation in the controller."""
     pointing: Pointing
-    """From thrust direction and heading to body rates, quadrotor."""
     observer: ObserverGains
-    """Disturbance observer."""
     damping: Damping
-    """Damping near a singularity."""
     hold: Hold
-    """Holding a position and landing."""
 
 
 def gain_of(gains: Gains, loop: Loop) -> LoopGain:

@@ -134,11 +134,8 @@ class Mavlink(Block):
     battery_land_percent: Annotated[NotNegative, Field(le=90)] = 20.0
     """Battery charge below which the vehicle lands."""
     geofence: Geofence = Geofence()
-    """Region in which the vehicles may fly; a vehicle outside lands."""
     abort: Abort = Abort()
-    """The limits beyond which the formation is given up in flight."""
     limits: VehicleLimits = VehicleLimits()
-    """Limits of the setpoints."""
     vehicles: dict[UavId, MavlinkVehicle] = Field(default_factory=dict)
     """Settings of single vehicles, by UAV id:"""
     overrides: dict[str, Any] = Field(default_factory=dict)

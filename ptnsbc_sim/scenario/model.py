@@ -30,7 +30,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
-from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, NEVER_NS, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
@@ -47,7 +47,7 @@ HalfTurn = Annotated[Number, Field(gt=0, lt=1.5707963)]
 
 
 class Timing(Block):
-    """Rates of the control loop and of the plant, and how long to fly."""
+    """Rates of the control loop and of the plant, and the length of the flight."""
 
     control_hz: Annotated[Count, Field(le=2000)]
     """Control rate: a multiple of 5 with a period of whole nanoseconds."""
@@ -160,7 +160,6 @@ class Plant(Block):
     quadrotor: Quadrotor | None = None
     """Limits of the quadrotor; required for `kind: quadrotor`."""
     rigid_body: RigidBody = RigidBody()
-    """Limits of the paper's plant."""
 
     @property
     def rotor_limits(self) -> Quadrotor:
@@ -319,6 +318,11 @@ class Formation(Block):
         return {**tree, "offsets_m": tree.get("offsets_m") or {}} if named else tree
 
     @property
+    def has_open_slots(self) -> bool:
+        """True if it is open who takes which slot, until an epoch decides it."""
+        return self.assignment == "optimal"
+
+    @property
     def moves(self) -> bool:
         """True if the shape moves in itself."""
         return self.frame == "heading" or bool(self.changes)
@@ -327,6 +331,14 @@ class Formation(Block):
     def reconfigures(self) -> bool:
         """True if UAVs may come and go: the others take another parent or leader then."""
         return self.vacancy != "wait"
+
+
+class Disturbance(NamedTuple):
+    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
+
+    amplitudes: Array  # (6,)
+    phases: Array  # (6,) [rad]
+    offset: Array  # (6,)
 
 
 class UavBlock(Block):
@@ -367,43 +379,30 @@ class UavBlock(Block):
     leaves_s: Positive | None = None
     """Mission time at which it leaves the formation and lands. Default: never."""
 
+    @property
+    def position(self) -> Array:
+        """Start position (3,) [m], ENU."""
+        return np.array(self.position_m, dtype=np.float64)
 
-class Disturbance(NamedTuple):
-    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
+    @property
+    def disturbance(self) -> Disturbance:
+        """What acts on the UAV."""
+        waves = (*self.disturbance_m_s2, *self.disturbance_rad_s2)
+        return Disturbance(
+            np.array([wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]),
+            np.array([_PHASES.get(wave.shape, 0.0) for wave in waves]),
+            np.array([0.0 if wave.shape in _PHASES else wave.amount for wave in waves]),
+        )
 
-    amplitudes: Array  # (6,)
-    phases: Array  # (6,) [rad]
-    offset: Array  # (6,)
+    @property
+    def joins_ns(self) -> int:
+        """The time at which it joins, after the first epoch [ns]; 0: it is there from the begin on."""
+        return 0 if self.joins_s is None else round(self.joins_s * NANOSECONDS)
 
-
-class UavStart(NamedTuple):
-    """One UAV's start."""
-
-    id: int
-    position: Array  # (3,) [m], ENU
-    attitude: Array  # (3,) roll, pitch, yaw [rad]
-    disturbance: Disturbance
-    mass_scale: float  # true over nominal
-    inertia_scale: Array  # (3,) true over nominal
-
-
-def uav_start(block: UavBlock) -> UavStart:
-    """The start of the UAV of one block of a file."""
-    return UavStart(
-        block.id,
-        np.array(block.position_m, dtype=np.float64),
-        np.array(block.attitude_rad, dtype=np.float64),
-        _disturbance((*block.disturbance_m_s2, *block.disturbance_rad_s2)),
-        float(block.mass_scale),
-        np.array(block.inertia_scale, dtype=np.float64),
-    )
-
-
-def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
-    periodic = [wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]
-    phases = [_PHASES.get(wave.shape, 0.0) for wave in waves]
-    constant = [0.0 if wave.shape in _PHASES else wave.amount for wave in waves]
-    return Disturbance(np.array(periodic), np.array(phases), np.array(constant))
+    @property
+    def leaves_ns(self) -> int:
+        """The time at which it leaves, after the first epoch [ns]."""
+        return NEVER_NS if self.leaves_s is None else round(self.leaves_s * NANOSECONDS)
 
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:
@@ -468,21 +467,13 @@ class ScenarioFile(Block):
     """Faults that are injected, see [faults.md](faults.md#injection). A fleet takes `ptnsbc inject` only with this key;
     an empty list will do. Default: none, and `ptnsbc inject` is refused."""
     timing: Timing
-    """Rates and duration."""
     world: Surroundings = Surroundings()
-    """The surroundings of the UAVs."""
     sensor: Sensor
-    """Sensors of a UAV."""
     plant: Plant
-    """The vehicle, the same for all."""
     communication: Communication
-    """The communication graph of the formation."""
     leader: Leader
-    """The UAV around which the others form."""
     formation: Formation
-    """The shape, and the task that holds it."""
     gains: Gains
-    """All gains of the laws."""
     mission: Mission | None = None
     """Task of the formation, leg by leg, see [missions.md](missions.md). Default: it forms and follows the trajectory
     of the leader."""
@@ -492,7 +483,6 @@ class ScenarioFile(Block):
     plugins: Plugins = Plugins()
     """More functions of the user, each as `FILE.py:NAME` or as the name of an entry point:"""
     mavlink: Mavlink = Mavlink()
-    """Flight controllers instead of the simulator."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]
     """Starts and disturbances of the UAVs, at least one."""
 
@@ -517,7 +507,7 @@ class ScenarioFile(Block):
         task = self.plugins.task
         return self.formation.task if task is None else Path(task).name
 
-    def block(self, uav_id: int) -> UavBlock:
+    def uav(self, uav_id: int) -> UavBlock:
         """The block of one UAV.
 
         Raises:
@@ -529,31 +519,27 @@ class ScenarioFile(Block):
         known = ", ".join(map(str, self.uav_ids))
         raise ScenarioError(f"{self.name}: UAV {uav_id}: expected one of {known}")
 
-    def uav(self, uav_id: int) -> UavStart:
-        """Start and disturbance of one UAV."""
-        return uav_start(self.block(uav_id))
-
     def vehicle(self, uav_id: int) -> Plant:
         """The vehicle of one UAV, as the laws know it; `plant` itself where it has nothing of its own."""
-        return plant_of(self.plant, self.block(uav_id))
+        return plant_of(self.plant, self.uav(uav_id))
 
     def vehicle_link(self, uav_id: int) -> VehicleLink:
         """Connection to the flight controller of one UAV."""
-        return vehicle_link(self.mavlink, self.uav_ids, self.block(uav_id).id)
+        return vehicle_link(self.mavlink, self.uav_ids, self.uav(uav_id).id)
 
     def max_speed_m_s(self, uav_id: int) -> float:
         """Limit of the commanded speed of one UAV."""
-        limit = self.block(uav_id).max_speed_m_s
+        limit = self.uav(uav_id).max_speed_m_s
         return self.gains.filter.max_speed_m_s if limit is None else limit
 
     def offset(self, uav_id: int) -> Array:
         """Desired position relative to the reference point (3,) [m], ENU: zeros for the leader of the file."""
-        place = self.formation.offsets_m.get(self.block(uav_id).id, (0.0, 0.0, 0.0))
+        place = self.formation.offsets_m.get(self.uav(uav_id).id, (0.0, 0.0, 0.0))
         return np.array(place, dtype=np.float64)
 
     def keep_out_m(self, uav_id: int) -> float:
         """The keep-out of one UAV."""
-        keep_out = self.block(uav_id).keep_out_m
+        keep_out = self.uav(uav_id).keep_out_m
         return self.formation.uav_keep_out_m if keep_out is None else keep_out
 
     def keep_out_between(self, uav_id: int, other: int) -> float:

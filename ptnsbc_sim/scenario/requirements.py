@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg, SplitLeg, moves_shape
-from ptnsbc_sim.scenario.mission.stream import takes_setpoints
+from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory, takes_setpoints
 from ptnsbc_sim.scenario.model import ScenarioFile
 
-Test = Callable[[ScenarioFile], Any]
+Conflict = Callable[[ScenarioFile], str | None]
 
 
 class Condition(NamedTuple):
@@ -17,34 +17,41 @@ class Condition(NamedTuple):
 
     key: str
     expected: str
-    value: Test  # as it is, for the message; "" where it takes too many words
-    holds: Test
+    conflict: Conflict  # the value that it has instead, "" where it takes too many words; None where it is as needed
 
 
 class Requirement(NamedTuple):
     """A choice, and what it needs."""
 
     choice: str  # in words, for the page and the end of a message
-    made: Test
+    made: Callable[[ScenarioFile], Any]
     needs: tuple[Condition, ...]
 
 
 def _word(key: str, expected: str) -> Condition:
     """The need of a key of `formation` to have a value."""
 
-    def value(file: ScenarioFile) -> Any:
-        return getattr(file.formation, key)
+    def conflict(file: ScenarioFile) -> str | None:
+        value = str(getattr(file.formation, key))
+        return None if value == expected else value
 
-    return Condition(f"formation.{key}", expected, value, lambda file: f"{value(file)}" == expected)
+    return Condition(f"formation.{key}", expected, conflict)
+
+
+def _legs(file: ScenarioFile) -> Sequence[object]:
+    return file.mission.legs if file.mission else ()
 
 
 def _splits(file: ScenarioFile) -> bool:
-    return any(isinstance(leg, SplitLeg) for leg in (file.mission.legs if file.mission else ()))
+    return any(isinstance(leg, SplitLeg) for leg in _legs(file))
 
 
 def _rotates(file: ScenarioFile) -> bool:
-    legs = file.mission.legs if file.mission else ()
-    return any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in legs)
+    return any(isinstance(leg, ChangeLeg) and leg.rotation_rad != 0.0 for leg in _legs(file))
+
+
+def _at_rest(file: ScenarioFile) -> bool:
+    return not (file.formation.moves or moves_shape(file.mission))
 
 
 RELATIVE, PLANNED = _word("task", "relative_position"), _word("approach", "planned")
@@ -54,41 +61,28 @@ FIXED, WORLD, WAITING = (
     _word("vacancy", "wait"),
 )
 NO_SIGHT = Condition(
-    "formation.sight_m",
-    "0",
-    lambda f: f"{f.formation.sight_m:g}",
-    lambda f: f.formation.sight_m == 0.0,
+    "formation.sight_m", "0", lambda f: f"{f.formation.sight_m:g}" if f.formation.sight_m else None
 )
 AT_REST = Condition(
     "formation",
     "a shape that does not move, without frame: heading, changes, or legs of kind take_off, change or split",
-    lambda f: "",
-    lambda f: not (f.formation.moves or moves_shape(f.mission)),
+    lambda f: None if _at_rest(f) else "",
 )
-NO_CHANGES = Condition("formation.changes", "none", lambda f: "", lambda f: not f.formation.changes)
-NO_MISSION = Condition("mission", "none", lambda f: "legs", lambda f: f.mission is None)
+NO_CHANGES = Condition("formation.changes", "none", lambda f: "" if f.formation.changes else None)
+NO_MISSION = Condition("mission", "none", lambda f: "legs" if f.mission else None)
 NO_ROTATION = Condition(
     "mission.legs",
     "no leg of kind change with rotation_rad",
-    lambda f: "",
-    lambda f: not _rotates(f),
+    lambda f: "" if _rotates(f) else None,
 )
 KNOWN_PATH = Condition(
     "leader.trajectory.kind",
     "a trajectory that all UAVs know",
-    lambda f: "stream",
-    lambda f: f.leader.trajectory.kind != "stream",
+    lambda f: "stream" if isinstance(f.leader.trajectory, SetpointTrajectory) else None,
 )
-NO_LAW = Condition("law", "none", lambda f: f.law, lambda f: f.law is None)
-NO_TASK = Condition(
-    "plugins.task", "none", lambda f: f.plugins.task, lambda f: f.plugins.task is None
-)
-NO_CONTROLLER = Condition(
-    "plugins.controller",
-    "none",
-    lambda f: f.plugins.controller,
-    lambda f: f.plugins.controller is None,
-)
+NO_LAW = Condition("law", "none", lambda f: f.law)
+NO_TASK = Condition("plugins.task", "none", lambda f: f.plugins.task)
+NO_CONTROLLER = Condition("plugins.controller", "none", lambda f: f.plugins.controller)
 
 REQUIREMENTS = (
     Requirement(
@@ -116,7 +110,11 @@ REQUIREMENTS = (
     Requirement(
         "a mission that changes the shape or splits", lambda f: moves_shape(f.mission), (RELATIVE,)
     ),
-    Requirement("a leg of kind split", _splits, (WORLD, FIXED, NO_ROTATION)),
+    Requirement(
+        "a leg of kind split",
+        lambda f: any(isinstance(leg, SplitLeg) for leg in _legs(f)),
+        (WORLD, FIXED, NO_ROTATION),
+    ),
     Requirement(
         "a law or a task of your own, which is told one place for each UAV",
         lambda f: f.law or f.plugins.task,
@@ -135,8 +133,7 @@ REQUIREMENTS = (
 def requirement_problems(file: ScenarioFile) -> Iterator[str]:
     """The needs that are not met, as `key: value: expectation`."""
     for requirement in REQUIREMENTS:
-        if requirement.made(file):
-            for need in requirement.needs:
-                if not need.holds(file):
-                    value = f"{need.value(file)}: " if need.value(file) else ""
-                    yield f"{need.key}: {value}expected {need.expected} beside {requirement.choice}"
+        for need in requirement.needs if requirement.made(file) else ():
+            if (value := need.conflict(file)) is not None:
+                value = value and f"{value}: "
+                yield f"{need.key}: {value}expected {need.expected} beside {requirement.choice}"

@@ -34,8 +34,6 @@ from ptnsbc_sim.scenario.model import NANOSECONDS, ScenarioFile, UavBlock
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.content import (
-    named_functions,
-    names_function,
     names_table,
     refuse_functions,
     refuse_new_functions,
@@ -74,13 +72,7 @@ def load_text(
         refuse_new_functions(final, given, source)
         final = with_code(final, Path.cwd(), given)
     final = with_shape(final, source)
-    if (
-        given
-        or "extends" in tree
-        or names_table(tree)
-        or names_function(tree)
-        or named_functions(final) != named_functions(tree)
-    ):
+    if given or final != tree:
         text = reader.dump(final)
     file = validated(final, source)
     if math.isinf(file.gains.formation.deadline_s):

@@ -38,7 +38,7 @@ _FUNCTION = {
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """The docstring under each field of a model, also of the models that it extends."""
+    """The docstring under each field of a model, also of the models that it extends; else that of its block."""
     found: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if not issubclass(kind, Block) or kind is Block:
@@ -50,6 +50,9 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
                 continue
             if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
                 found[field.target.id] = " ".join(str(text.value.value).split())
+    for key, value in model.model_fields.items():
+        block = model if key == "kind" else next(_blocks(value.annotation), model)
+        found.setdefault(key, " ".join((block.__doc__ or "").split()))
     return found
 
 

@@ -35,11 +35,6 @@ class SlotsError(PtnsbcError):
     """An assignment of slots that no fleet can fly."""
 
 
-def are_open(scenario: Scenario) -> bool:
-    """True if it is open who takes which slot, until an epoch decides it."""
-    return scenario.formation.assignment == "optimal"
-
-
 def optimal_slots(
     scenario: Scenario, positions: Mapping[int, Array], t: float = 0.0
 ) -> dict[int, int]:
@@ -96,7 +91,7 @@ def with_slots(scenario: Scenario, slots: Slots) -> Scenario:
 
 def with_slots_of_starts(scenario: Scenario) -> Scenario:
     """The scenario with the slots of its starts; as it is, where every UAV has its own."""
-    if not are_open(scenario):
+    if not scenario.formation.has_open_slots:
         return scenario
     starts = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
     return with_slots(scenario, optimal_slots(scenario, starts))
@@ -149,10 +144,6 @@ def _topology_of(topology: Topology, holder: Mapping[int, int]) -> Topology:
     )
 
 
-_NANO = 1e9
-NEVER_NS = 2**62
-
-
 class Membership(NamedTuple):
     """The UAVs that are absent or have returned, as one UAV sees it."""
 
@@ -160,35 +151,12 @@ class Membership(NamedTuple):
     returned: frozenset[int]  # that are there, and were absent before
 
 
-class GraphPlace(NamedTuple):
-    """The place of one UAV in the graph."""
-
-    leader: int
-    parent: int | None
-    slot: tuple[float, ...]  # [m, ENU]
-    pinned: bool  # it hears the leader
-
-
-def joins_ns(scenario: Scenario, uav_id: int) -> int:
-    """The time at which a UAV joins, after the first epoch [ns]; 0: it is there from the begin on."""
-    joins_s = next(uav.joins_s for uav in scenario.uavs if uav.id == uav_id)
-    return 0 if joins_s is None else round(joins_s * _NANO)
-
-
-def leaves_ns(scenario: Scenario, uav_id: int) -> int:
-    """The time at which a UAV leaves, after the first epoch [ns]."""
-    leaves_s = next(uav.leaves_s for uav in scenario.uavs if uav.id == uav_id)
-    return NEVER_NS if leaves_s is None else round(leaves_s * _NANO)
-
-
 class View:
     """The members as one UAV finds them, from the start of its process on."""
 
     def __init__(self, scenario: Scenario, uav_id: int) -> None:
         self._uav = uav_id
-        self._spans = {
-            uav: (joins_ns(scenario, uav), leaves_ns(scenario, uav)) for uav in scenario.uav_ids
-        }
+        self._spans = {uav.id: (uav.joins_ns, uav.leaves_ns) for uav in scenario.uavs}
         self._stale_s = float(scenario.communication.stale_s)
         self._away: set[int] = set()
 
@@ -234,17 +202,6 @@ class Formations:
         if members not in self._known:
             self._known[members] = reconfigured(self.scenario, members)
         return self._known[members]
-
-
-def role_of(scenario: Scenario, uav_id: int) -> GraphPlace:
-    """The role of a UAV in a formation."""
-    slot = tuple(scenario.offset(uav_id).tolist())
-    return GraphPlace(
-        scenario.leader.id,
-        scenario.communication.parent(uav_id),
-        slot,
-        uav_id in scenario.topology.pinned,
-    )
 
 
 def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
@@ -346,7 +303,9 @@ def changed(before: Scenario, after: Scenario, uav_id: int) -> tuple[bool, bool]
 
     A UAV that no longer hears the leader takes none: the last one that it was told would count for ever.
     """
-    was, now = role_of(before, uav_id), role_of(after, uav_id)
-    leads = (was.leader == uav_id) != (now.leader == uav_id)
-    led = was.leader != now.leader or was.pinned != now.pinned
-    return leads or was.parent != now.parent or was.slot != now.slot, led
+    leads = (before.leader.id == uav_id) != (after.leader.id == uav_id)
+    parents = before.communication.parent(uav_id), after.communication.parent(uav_id)
+    moved = before.offset(uav_id).tolist() != after.offset(uav_id).tolist()
+    hears = (uav_id in before.topology.pinned) != (uav_id in after.topology.pinned)
+    led = before.leader.id != after.leader.id or hears
+    return leads or parents[0] != parents[1] or moved, led

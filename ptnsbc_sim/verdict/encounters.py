@@ -24,7 +24,7 @@ from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.constants import loop_of, recovery_config
-from ptnsbc_sim.scenario.slots import NEVER_NS
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.members import by_phase
 from ptnsbc_sim.verdict.recording import Recording

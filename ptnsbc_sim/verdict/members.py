@@ -13,14 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import (
-    NEVER_NS,
-    Formations,
-    Membership,
-    changed,
-    joins_ns,
-    leaves_ns,
-)
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
+from ptnsbc_sim.scenario.slots import Formations, Membership, changed
 from ptnsbc_sim.verdict.track import Track
 
 _NANO = 1e-9
@@ -79,9 +73,9 @@ def absences(
     )  # processes go on until all have landed
     for uav in scenario.uav_ids:
         spans = []
-        if joins_ns(scenario, uav):
-            spans.append(Absence(first_ns, first_ns + joins_ns(scenario, uav), True, first_ns))
-        left_ns = first_ns + leaves_ns(scenario, uav)
+        if scenario.uav(uav).joins_ns:
+            spans.append(Absence(first_ns, first_ns + scenario.uav(uav).joins_ns, True, first_ns))
+        left_ns = first_ns + scenario.uav(uav).leaves_ns
         if left_ns <= last_ns:
             spans.append(Absence(left_ns, NEVER_NS, True, left_ns))
         if uav in tracks:

@@ -16,7 +16,7 @@ from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
-from ptnsbc_sim.scenario.slots import are_open, with_slots
+from ptnsbc_sim.scenario.slots import with_slots
 from ptnsbc_sim.verdict.members import Members, Phase
 from ptnsbc_sim.verdict.track import Track
 
@@ -135,7 +135,7 @@ class Recording:
         Raises:
             VerdictError: the slots are open, and those of this leg are not recorded.
         """
-        if not are_open(self.scenario):
+        if not self.scenario.formation.has_open_slots:
             return self.scenario
         if self.start_ns not in self.slots:
             raise VerdictError(

@@ -24,7 +24,7 @@ from ptnsbc_sim.scenario.constants import (
     sight_speed,
 )
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
-from ptnsbc_sim.scenario.slots import are_open, with_slots_of_starts
+from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
@@ -302,7 +302,7 @@ def least_distance(first: Array, last: Array) -> float:
 
 def slots(scenario: Scenario) -> Findings:
     """Distances on the way to open slots, and what they rest on (docs/notes/slots.md)."""
-    if not are_open(scenario) or len(scenario.uav_ids) < 2:
+    if not scenario.formation.has_open_slots or len(scenario.uav_ids) < 2:
         return
     held = with_slots_of_starts(scenario)
     pairs = list(combinations(scenario.uav_ids, 2))

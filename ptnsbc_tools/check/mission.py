@@ -14,17 +14,11 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader, recovery_config
 from ptnsbc_sim.scenario.mavlink import Geofence
-from ptnsbc_sim.scenario.mission.fault_rules import PROCESS, FaultBlock, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, PROCESS, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, TakeOffLeg, Word, leg_names
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
-from ptnsbc_sim.scenario.slots import (
-    NEVER_NS,
-    Formations,
-    Membership,
-    joins_ns,
-    leaves_ns,
-)
+from ptnsbc_sim.scenario.slots import Formations, Membership
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.check.geometry import moving_spacing
 
@@ -310,7 +304,7 @@ def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
 
 def _gone_ns(scenario: Scenario, uav: int, *, killed: bool) -> list[tuple[int, int]]:
     """The spans [ns] in which a UAV is away; `killed`: also those of faults that end its process."""
-    found = [(0, joins_ns(scenario, uav)), (leaves_ns(scenario, uav), NEVER_NS)]
+    found = [(0, scenario.uav(uav).joins_ns), (scenario.uav(uav).leaves_ns, NEVER_NS)]
     stale_ns = round(float(scenario.communication.stale_s) * 1e9)
     for fault in modelled(scenario.faults) if killed else ():
         if fault.rule.strikes == PROCESS and fault.struck_uav == uav:

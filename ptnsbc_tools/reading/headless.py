@@ -20,7 +20,6 @@ from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.uav.uav_faults import sent_faults
 from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
-from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
@@ -185,7 +184,7 @@ def write_flight(
         for topic in topics.in_bag(
             scenario.uav_ids,
             with_truth=scenario.imperfect,
-            with_slots=are_open(scenario),
+            with_slots=scenario.formation.has_open_slots,
             with_stream=scenario.takes_setpoints,
         )
     ]

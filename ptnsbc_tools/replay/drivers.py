@@ -29,7 +29,6 @@ from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
-from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_tools.replay.recorded_messages import Difference, Mismatch, TopicBuffer
 from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay, heard_topics
 
@@ -197,7 +196,7 @@ class LockstepDriver(Driver[int]):
         self.triggers = {topics.odom(uav).name: uav for uav in state.uavs}
         self._period_ns = state.scenario.timing.dt_ns
         self._near_every = state.scenario.near_every
-        self._open_slots = are_open(state.scenario)
+        self._open_slots = state.scenario.formation.has_open_slots
         self._next_ns = dict.fromkeys(state.uavs, 0)
         self._gaps: dict[int, str] = {}  # why the steps of a UAV cannot be made any more
         dead = gone(state.scenario)

@@ -24,7 +24,6 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.model import NANOSECONDS
-from ptnsbc_sim.scenario.slots import are_open, joins_ns, leaves_ns
 
 _SOON_S = 0.5  # the predicted paths count so far ahead
 _TOO_NEAR_S = 0.2  # one odd message is no approach
@@ -207,14 +206,14 @@ class LeaderReference:
 
     def place_velocity(self, flight_s: float) -> Array:
         """Velocity (3,) [m/s] of the vehicle's place in the formation, which may move beside the leader."""
-        known = not are_open(self._scenario)
+        known = not self._scenario.formation.has_open_slots
         return place_velocity(self.config, max(flight_s, 0.0), slot_known=known)
 
     def is_member(self, flight_s: float) -> bool:
         """True if the vehicle belongs to the formation by the scenario: it has joined, and has not left."""
         begin_ns, end_ns = (
-            joins_ns(self._scenario, self._uav_id),
-            leaves_ns(self._scenario, self._uav_id),
+            self._scenario.uav(self._uav_id).joins_ns,
+            self._scenario.uav(self._uav_id).leaves_ns,
         )
         return begin_ns <= flight_s * NANOSECONDS < end_ns
 

@@ -30,8 +30,8 @@ FaultKind = Literal[
 ]
 MOST_DELAY_S = 1.0
 """Largest `delay_s` of a fault."""
-FOR_EVER_NS = 2**62
-"""End of a fault without a duration."""
+NEVER_NS = 2**62
+"""Later than any flight."""
 
 _RESTART_NS = 2_000_000_000
 """Time that a process takes to start [ns]: so long is a UAV gone that is restarted at once."""
@@ -164,7 +164,7 @@ class FaultBlock(Block):
         if self.kind == "restart" and self.duration_s is None:
             return start_ns, start_ns + _RESTART_NS
         if self.duration_s is None:
-            return start_ns, FOR_EVER_NS
+            return start_ns, NEVER_NS
         return start_ns, start_ns + round(self.duration_s * 1e9)
 
 

@@ -131,11 +131,9 @@ class LegBlock(Block):
 
 
 class TakeOffLeg(LegBlock):
-    """All UAVs rise over their starts."""
+    """Every UAV rises over its start by one time profile. A mission may begin with it; `form` comes next."""
 
     kind: Literal["take_off"]
-    """Every UAV rises straight up over its start, all with one time profile. A mission may begin with it; `form` comes
-    next."""
     over_s: Span
     """Duration: by then every UAV is at the height, at rest."""
     height_m: Number
@@ -146,10 +144,9 @@ class TakeOffLeg(LegBlock):
 
 
 class FormLeg(LegBlock):
-    """The formation comes about."""
+    """The formation comes about. A mission begins with it, or with `take_off` before it."""
 
     kind: Literal["form"]
-    """The formation comes about. A mission begins with it, or with `take_off` before it."""
     over_s: Span | None = None
     """Deadline, in place of `gains.formation.deadline_s`."""
     shape: ShapeBlock | None = None
@@ -163,17 +160,15 @@ class FormLeg(LegBlock):
 
 
 class ChangeLeg(Reshaping, LegBlock):
-    """Another shape, while the leader goes on."""
+    """The formation changes its shape, while the leader goes on as in the leg before."""
 
     kind: Literal["change"]
-    """The formation changes its shape, while the leader goes on as in the leg before."""
 
 
 class FollowLeg(LegBlock):
-    """The leader joins a trajectory."""
+    """The leader joins a trajectory, whose time counts from the begin of the leg."""
 
     kind: Literal["follow"]
-    """The leader joins a trajectory, whose time counts from the begin of the leg."""
     over_s: Span
     """Duration: by then the leader is on the trajectory. It stays on it until a later leg of the leader."""
     trajectory: TrajectoryBlock
@@ -181,10 +176,9 @@ class FollowLeg(LegBlock):
 
 
 class GoToLeg(LegBlock):
-    """The leader goes to a place."""
+    """The leader goes to a place, and the formation with it."""
 
     kind: Literal["go_to"]
-    """The leader goes to a place, and the formation with it."""
     over_s: Span
     """Duration: by then the leader is there, at rest."""
     position_m: Vec3
@@ -194,19 +188,17 @@ class GoToLeg(LegBlock):
 
 
 class HoldLeg(LegBlock):
-    """The leader comes to rest."""
+    """The leader comes to rest, and the formation with it."""
 
     kind: Literal["hold"]
-    """The leader comes to rest, and the formation with it."""
     over_s: Span
     """Duration: by then it is at rest."""
 
 
 class SplitLeg(LegBlock):
-    """A part of the formation leaves with a trajectory of its own."""
+    """A group of followers leaves with a trajectory of its own, while the leader goes on as in the leg before."""
 
     kind: Literal["split"]
-    """A group of followers leaves with a trajectory of its own, while the leader goes on as in the leg before."""
     over_s: Span
     """Duration: by then the group is on its trajectory. It stays on it until it joins."""
     head: UavId
@@ -217,19 +209,17 @@ class SplitLeg(LegBlock):
 
 
 class JoinLeg(LegBlock):
-    """The group that has left comes back."""
+    """The group that has left comes back to its places beside the leader."""
 
     kind: Literal["join"]
-    """The group that has left comes back to its places beside the leader."""
     over_s: Span
     """Duration: by then every UAV is in its place."""
 
 
 class LandLeg(LegBlock):
-    """All UAVs descend over their places."""
+    """Every UAV descends over its place at `gains.hold.land_speed_m_s`. No leg comes after it."""
 
     kind: Literal["land"]
-    """Every UAV descends over its place at `gains.hold.land_speed_m_s`. No leg comes after it."""
     over_s: Span
     """Duration: by then every UAV is down."""
     ground_m: Number = 0.0

@@ -46,10 +46,9 @@ Points = Annotated[tuple[Vec3, ...], Field(min_length=2, max_length=MOST_POINTS)
 
 
 class Circle(Block):
-    """Centre + radius (sin, cos)(rate t + phase): clockwise from north, as in the paper."""
+    """Position centre + radius (sin, cos)(rate t + phase): clockwise from north."""
 
     kind: Literal["circle"]
-    """Position centre + radius (sin, cos)(rate t + phase): clockwise from north."""
     centre_m: Vec3
     """Centre; its z is the height."""
     radius_m: NotNegative
@@ -65,10 +64,9 @@ class Circle(Block):
 
 
 class Line(Block):
-    """position + velocity t."""
+    """Position + velocity t."""
 
     kind: Literal["line"]
-    """Position + velocity t."""
     position_m: Vec3
     """Position at the epoch."""
     velocity_m_s: Vec3 = (0.0, 0.0, 0.0)
@@ -78,10 +76,9 @@ class Line(Block):
 
 
 class Hover(Block):
-    """A place to stay at."""
+    """Position to stay at."""
 
     kind: Literal["hover"]
-    """Position to stay at."""
     position_m: Vec3
     """Position."""
     yaw_rad: Number = 0.0
@@ -89,10 +86,9 @@ class Hover(Block):
 
 
 class Lissajous(Block):
-    """One sine for each axis."""
+    """Position centre + amplitude sin(rate t + phase), each axis with numbers of its own."""
 
     kind: Literal["lissajous"]
-    """Position centre + amplitude sin(rate t + phase), each axis with numbers of its own."""
     centre_m: Vec3
     """Centre."""
     amplitude_m: Vec3
@@ -108,10 +104,9 @@ class Lissajous(Block):
 
 
 class Waypoints(Block):
-    """A curve through points."""
+    """Curve through points, which stays at the last of them."""
 
     kind: Literal["waypoints"]
-    """Curve through points, which stays at the last of them."""
     points_m: Points
     """The points, 2 to 2000."""
     times_s: tuple[NotNegative, ...] | None = None
@@ -133,10 +128,9 @@ class Waypoints(Block):
 
 
 class Csv(Block):
-    """A curve through the rows of a CSV file."""
+    """Cubic spline through the rows t, x, y, z, yaw of a CSV file, which stays at the last of them."""
 
     kind: Literal["csv"]
-    """Cubic spline through the rows t, x, y, z, yaw of a CSV file, which stays at the last of them."""
     file: str | None = None
     """Name of the file, looked for beside the scenario; at most 2000 rows and 200 000 characters. It becomes `samples`
     when it is read, so that a bag holds it."""

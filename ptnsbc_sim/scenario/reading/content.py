@@ -8,8 +8,9 @@ the entry points of installed packages.
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FunctionType
@@ -21,84 +22,62 @@ from ptnsbc_sim.scenario.fields import MOST_SAMPLES
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown
 
 
-def _names_file(block: Any) -> bool:
-    """True if a block is a trajectory, a shape or a map in a file of its own."""
-    named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream", "map")
-    return named and block.get("file") is not None
-
-
-def names_table(tree: Any, key: str = "") -> str:
-    """The key of the first trajectory or shape that is in a file of its own; empty without one."""
-    if _names_file(tree):
-        return f"{key}.file"
-    found = (names_table(one, where) for where, one in _inside(tree, key))
-    return next((name for name in found if name), "")
-
-
-def _inside(node: Any, key: str) -> list[tuple[str, Any]]:
-    """The values in a mapping or list, with the dotted keys."""
+def _tables(node: Any, key: str = "") -> Iterator[tuple[str, Tree]]:
+    """The trajectories, shapes and maps in files of their own below a node, by their dotted keys."""
     if isinstance(node, list):
-        return [(f"{key}[{k}]", one) for k, one in enumerate(node)]
-    if isinstance(node, dict):
-        return [(f"{key}.{name}" if key else str(name), one) for name, one in node.items()]
-    return []
+        for index, item in enumerate(node):
+            yield from _tables(item, f"{key}[{index}]")
+    elif isinstance(node, dict):
+        if node.get("kind") in ("csv", "file", "stream", "map") and node.get("file") is not None:
+            yield key, node
+            return
+        for name, value in node.items():
+            yield from _tables(value, f"{key}.{name}" if key else str(name))
+
+
+def names_table(tree: Tree) -> str:
+    """The key of the first file that a tree names; empty without one."""
+    return next((f"{key}.file" for key, _ in _tables(tree)), "")
 
 
 def with_table(tree: Tree, source: str, folder: Path) -> Tree:
-    """`tree` with the content of CSV files in the place of their names."""
-    return _filled(tree, "", source, folder) if names_table(tree) else tree
+    """`tree` with the content of CSV files and maps in the place of their names."""
+    if names_table(tree):
+        tree = copy.deepcopy(tree)
+        for key, block in list(_tables(tree)):
+            block["samples"] = _samples_of(block, f"{source}: {key}", folder)
+            del block["file"]
+    return tree
 
 
-def _filled(node: Any, key: str, source: str, folder: Path) -> Any:
-    if isinstance(node, list):
-        return [_filled(one, f"{key}[{k}]", source, folder) for k, one in enumerate(node)]
-    if not isinstance(node, dict):
-        return node
-    if _names_file(node):
-        rest = {name: value for name, value in node.items() if name != "file"}
-        read = _map if node["kind"] == "map" else _content
-        return {**rest, "samples": read(node, f"{source}: {key}.", folder)}
-    return {
-        name: _filled(one, f"{key}.{name}" if key else str(name), source, folder)
-        for name, one in node.items()
-    }
-
-
-def _place_of(block: Tree, where: str, folder: Path, what: str) -> Path:
-    """The path of the file of a block."""
-    name = block["file"]
+def _samples_of(block: Tree, where: str, folder: Path) -> str:
+    """The content of the file of a block."""
+    name, is_map = block["file"], block["kind"] == "map"
     if not isinstance(name, str) or not name:
-        raise ScenarioError(f"{where}: {name!r}: expected the name or path of a {what}")
-    return folder / Path(name).expanduser()
-
-
-def _map(block: Tree, below: str, folder: Path) -> str:
-    """The boxes of a map."""
-    found, resolution = _place_of(block, f"{below}file", folder, "map"), block.get("resolution_m")
-    number = isinstance(resolution, int | float) and not isinstance(resolution, bool)
-    edge_m = float(resolution) if number and resolution is not None else 0.0
-    if not FINEST_M <= edge_m <= COARSEST_M:
-        raise ScenarioError(
-            f"{below}resolution_m: {shown(resolution)}: expected a number from {FINEST_M:g} to {COARSEST_M:g} m"
-        )
+        what = "map" if is_map else "CSV file"
+        raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a {what}")
+    path = folder / Path(name).expanduser()
+    if is_map:
+        edge_m = block.get("resolution_m")
+        number = isinstance(edge_m, int | float) and not isinstance(edge_m, bool)
+        if edge_m is None or not number or not FINEST_M <= edge_m <= COARSEST_M:
+            raise ScenarioError(
+                f"{where}.resolution_m: {shown(edge_m)}: expected a number from {FINEST_M:g} to {COARSEST_M:g} m"
+            )
+        try:
+            return map_text(path, float(edge_m))
+        except MapError as error:
+            raise ScenarioError(f"{where}.file: {path}: {error}") from None
     try:
-        text = map_text(found, edge_m)
-    except MapError as error:
-        raise ScenarioError(f"{below}file: {found}: {error}") from None
-    return text
-
-
-def _content(block: Tree, below: str, folder: Path) -> str:
-    where = f"{below}file"
-    found = _place_of(block, where, folder, "CSV file")
-    try:
-        with found.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8") as stream:
             text = stream.read(MOST_SAMPLES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
         words = getattr(error, "strerror", None) or "expected UTF-8 text"
-        raise ScenarioError(f"{where}: {found}: {words}: expected a readable CSV file") from None
+        raise ScenarioError(
+            f"{where}.file: {path}: {words}: expected a readable CSV file"
+        ) from None
     if len(text) > MOST_SAMPLES:
-        raise ScenarioError(f"{where}: {found}: expected at most {MOST_SAMPLES} characters")
+        raise ScenarioError(f"{where}.file: {path}: expected at most {MOST_SAMPLES} characters")
     return text
 
 
@@ -108,8 +87,10 @@ GROUP = "ptnsbc.plugins"
 MOST_ROWS = 2000
 """Rows of a trajectory at most, as of any CSV file."""
 
-_TRAJECTORIES = ("circle", "line", "hover", "lissajous", "waypoints", "csv")
-_SHAPES = ("v", "line", "column", "grid", "circle", "sphere")
+_OURS = {
+    "trajectory": ("circle", "line", "hover", "lissajous", "waypoints", "csv", "stream"),
+    "shape": ("v", "line", "column", "grid", "circle", "sphere", "file"),
+}
 _DURATION_S, _STEP_S = 100.0, 0.1
 _LEAST_STEP_S = 0.01
 _FARTHEST = 1e6
@@ -117,11 +98,6 @@ _FARTHEST = 1e6
 
 class FunctionError(PluginError, ScenarioError):
     """A trajectory or shape of the user that cannot be called, or that gives no places."""
-
-
-def names_function(tree: Tree) -> bool:
-    """True if the leader's trajectory or the formation's shape is a function of the user."""
-    return _trajectory(tree) is not None or _shape(tree) is not None
 
 
 def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
@@ -163,25 +139,20 @@ def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
 
 def refuse_functions(tree: Tree, source: str) -> None:
     """ScenarioError when a text from outside names code to execute."""
-    block = _trajectory(tree) or _shape(tree)
-    if block is not None:
-        raise ScenarioError(
-            f"{source}: kind: {block['kind']}: not here: expected the data that the function gives"
-        )
+    _refuse(_trajectory(tree) or _shape(tree), source, "here: expected the data that it gives")
 
 
 def refuse_new_functions(tree: Tree, given: Mapping[str, Any], source: str) -> None:
     """ScenarioError when a value from outside of a file, as a ROS parameter, names code to execute."""
     if any(key.startswith(("leader", "formation")) for key in given):
-        block = _trajectory(tree) or (_shape(tree) if _sets_shape(given) else None)
-        if block is not None:
-            raise ScenarioError(
-                f"{source}: kind: {block['kind']}: not as an override: expected it in a scenario file"
-            )
+        shape = any(key.startswith("formation.shape") or key == "formation" for key in given)
+        block = _trajectory(tree) or (_shape(tree) if shape else None)
+        _refuse(block, source, "as an override: expected it in a scenario file")
 
 
-def _sets_shape(given: Mapping[str, Any]) -> bool:
-    return any(key.startswith("formation.shape") or key == "formation" for key in given)
+def _refuse(block: Tree | None, source: str, why: str) -> None:
+    if block is not None:
+        raise ScenarioError(f"{source}: kind: {block['kind']}: not {why}")
 
 
 def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
@@ -203,10 +174,14 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
         raise FunctionError(
             f"{where}.step_s: {step_s:g}: {count} rows in {duration_s:g} s: expected 2 to {MOST_ROWS}"
         )
-    rows = [
-        (t, *_numbers(function, (3, 4), {"t": t}, block.get("arguments"), where))
-        for t in (round(step_s * k, 9) for k in range(count))
-    ]
+    arguments = block.get("arguments") or {}
+    if not isinstance(arguments, dict):
+        raise FunctionError(f"{where}.arguments: expected a mapping of names to values")
+    rows = []
+    for k in range(count):
+        t = round(step_s * k, 9)
+        row = _numbers(_called(function, t, **arguments), (3, 4), function, f" at t = {t:g}")
+        rows.append((t, *row))
     if len({len(row) for row in rows}) > 1:
         raise FunctionError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
     text = "\n".join(",".join(f"{number:.12g}" for number in row) for row in rows)
@@ -235,16 +210,13 @@ def with_shape(tree: Tree, source: str) -> Tree:
     given = {key: value for key, value in block.items() if key != "kind"}
     ids = [uav.get("id") for uav in uavs if isinstance(uav, dict)]
     followers = [uav for uav in ids if uav != leader.get("id")]
-    try:
-        places = [list(place) for place in function(len(ids), **given)]
-    except Exception as error:
-        raise _failed(function, error) from error
+    places = _called(function, len(ids), **given)
     if len(places) != len(ids):
         raise FunctionError(
             f"{place_of(function)}: {len(places)} places: expected one for each of {len(ids)} UAVs, "
             "the leader's first"
         )
-    rows = [_checked(place, (3,), function) for place in places]
+    rows = [_numbers(place, (3,), function) for place in places]
     offsets = {
         uav: [one - own for one, own in zip(row, rows[0], strict=True)]
         for uav, row in zip(followers, rows[1:], strict=True)
@@ -253,21 +225,22 @@ def with_shape(tree: Tree, source: str) -> Tree:
     return {**tree, "formation": {**rest, "offsets_m": offsets}}
 
 
-def _block(tree: Tree, above: str, key: str, ours: tuple[str, ...]) -> Tree | None:
+def _block(tree: Tree, above: str, key: str) -> Tree | None:
+    """A block whose kind is a function of the user."""
     parent = tree.get(above)
     block = parent.get(key) if isinstance(parent, dict) else None
     kind = block.get("kind") if isinstance(block, dict) else None
-    if not isinstance(kind, str) or kind in ours or not isinstance(block, dict):
+    if not isinstance(kind, str) or kind in _OURS[key]:
         return None
     return block if ".py:" in kind or _entry(key, kind) is not None else None
 
 
 def _trajectory(tree: Tree) -> Tree | None:
-    return _block(tree, "leader", "trajectory", _TRAJECTORIES)
+    return _block(tree, "leader", "trajectory")
 
 
 def _shape(tree: Tree) -> Tree | None:
-    return _block(tree, "formation", "shape", _SHAPES)
+    return _block(tree, "formation", "shape")
 
 
 def whole_path(kind: str, named: str, folder: Path) -> str:
@@ -276,9 +249,8 @@ def whole_path(kind: str, named: str, folder: Path) -> str:
     Raises:
         FunctionError: it is neither FILE.py:NAME nor the name of an entry point, or that does not load.
     """
-    name, colon, function = named.rpartition(":")
-    if colon:
-        return f"{(folder / Path(name).expanduser()).absolute()}:{function}"
+    if ":" in named:
+        return _beside(named, folder)
     if _entry(kind, named) is None:
         raise FunctionError(
             f"{kind}: {named}: expected FILE.py:NAME, or the name of an entry point {kind}.NAME in {GROUP}"
@@ -292,9 +264,14 @@ def _with_whole_path(tree: Tree, folder: Path) -> Tree:
     block = _shape(tree)
     if block is None or ".py:" not in block["kind"]:
         return tree
-    name, _, function = block["kind"].rpartition(":")
-    kind = f"{(folder / Path(name).expanduser()).absolute()}:{function}"
-    return {**tree, "formation": {**tree["formation"], "shape": {**block, "kind": kind}}}
+    shape = {**block, "kind": _beside(block["kind"], folder)}
+    return {**tree, "formation": {**tree["formation"], "shape": shape}}
+
+
+def _beside(named: str, folder: Path) -> str:
+    """FILE.py:NAME with the whole path of the file, from a folder."""
+    name, _, function = named.rpartition(":")
+    return f"{(folder / Path(name).expanduser()).absolute()}:{function}"
 
 
 def _entry(what: str, name: str) -> Any:
@@ -304,14 +281,13 @@ def _entry(what: str, name: str) -> Any:
 
 def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
     if ".py:" in kind:
-        name, _, wanted = kind.rpartition(":")
-        file = (folder / Path(name).expanduser()).absolute()
+        file, _, wanted = _beside(kind, folder).rpartition(":")
         try:
-            found = executed(file, f"a {what}").get(wanted)
+            found = executed(Path(file), f"a {what}").get(wanted)
         except PluginError as error:
             raise FunctionError(f"{where}.kind: {error}") from error
     else:
-        file, wanted = Path(kind), kind
+        file, wanted = kind, kind
         try:
             found = _entry(what, kind).load()
         except Exception as error:
@@ -324,36 +300,29 @@ def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
     return found
 
 
-def _numbers(
-    function: Callable[..., Any], widths: tuple[int, ...], own: Tree, given: Any, where: str
-) -> list[float]:
-    if given is not None and not isinstance(given, dict):
-        raise FunctionError(f"{where}.arguments: expected a mapping of names to values")
+def _called(function: FunctionType, *given: Any, **arguments: Any) -> list[Any]:
+    """The list that a function of the user gives."""
     try:
-        found = list(function(*own.values(), **(given or {})))
+        return list(function(*given, **arguments))
     except Exception as error:
-        raise _failed(function, error) from error
-    return _checked(found, widths, function, own)
+        raise FunctionError(
+            f"{place_of(function, error)}: {type(error).__name__}: {error}"
+        ) from error
 
 
-def _checked(
-    found: list[Any], widths: tuple[int, ...], function: Any, own: Tree | None = None
+def _numbers(
+    given: Any, widths: tuple[int, ...], function: FunctionType, at: str = ""
 ) -> list[float]:
-    at = "".join(f" at {key} = {value:g}" for key, value in (own or {}).items())
-    expected = " or ".join(map(str, widths))
     try:
-        numbers = [float(number) for number in found]
+        numbers = [float(number) for number in given]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in widths or not all(abs(number) <= _FARTHEST for number in numbers):
+        expected = " or ".join(map(str, widths))
         raise FunctionError(
-            f"{place_of(function)}: gave {found!r:.80}{at}: expected {expected} numbers, none beyond 1e6"
+            f"{place_of(function)}: gave {given!r:.80}{at}: expected {expected} numbers, none beyond 1e6"
         )
     return numbers
-
-
-def _failed(function: Any, error: Exception) -> FunctionError:
-    return FunctionError(f"{place_of(function, error)}: {type(error).__name__}: {error}")
 
 
 def _number(value: Any, where: str, least: float) -> float:

@@ -21,9 +21,7 @@ from ptnsbc_sim.scenario.slots import (
     Membership,
     SlotsError,
     View,
-    are_open,
     changed,
-    joins_ns,
     optimal_slots,
     reconfigured,
     require_slots,
@@ -127,8 +125,8 @@ def test_a_position_that_is_missing_or_not_finite_is_named() -> None:
 
 def test_slots_are_the_scenarios_own_by_default() -> None:
     scenario = load_scenario("paper_5")
-    assert not are_open(scenario)
-    assert are_open(load_scenario("paper_5", OPEN))
+    assert not scenario.formation.has_open_slots
+    assert load_scenario("paper_5", OPEN).formation.has_open_slots
     assert with_slots(scenario, {uav: uav for uav in scenario.uav_ids}) is scenario
 
 
@@ -287,7 +285,7 @@ def test_whoever_is_there_is_in_a_tree_below_one_leader(vacancy, absent, returne
 
 def test_silence_longer_than_stale_s_is_an_absence_and_is_remembered():
     view, fresh = View(relay(), 2), dict.fromkeys([1, 3, 4, 5, 6, 7], 0.01)
-    late = joins_ns(relay(), 7)
+    late = relay().uav(7).joins_ns
     assert view.at(late, late, fresh) == (NOBODY, NOBODY)
     stale = {**fresh, 5: 0.51}
     assert view.at(late + 1, late + 1, stale) == (frozenset({5}), NOBODY)

@@ -3,7 +3,7 @@
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, FAULTS, FOR_EVER_NS, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, FAULTS, NEVER_NS, modelled
 
 GOOD = {
     "silence": {"uav": 2},
@@ -66,7 +66,7 @@ def test_units_may_be_repeated_and_times_count_from_the_epoch():
     (fault,) = with_fault(kind="silence", uav=2, at_s="2 s", duration_s="500 s").faults
     assert fault.window_ns(7) == (2_000_000_007, 502_000_000_007)
     (fault,) = with_fault(kind="silence", uav=2).faults
-    assert fault.window_ns(0) == (1_000_000_000, FOR_EVER_NS)
+    assert fault.window_ns(0) == (1_000_000_000, NEVER_NS)
 
 
 def test_a_scenario_without_the_key_takes_no_fault_and_one_with_an_empty_list_does():
