@@ -4,8 +4,6 @@ import ast
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from docs.make.fault_table import ALL, ANSWERS
 
 ROOT = Path(__file__).parents[2]
@@ -17,13 +15,13 @@ def functions(file: str) -> set[str]:
     return {one.name for one in body if isinstance(one, ast.FunctionDef)}
 
 
-@pytest.mark.parametrize("row", ANSWERS, ids=lambda row: row.fault)
-def test_every_row_is_complete_and_its_tests_exist(row):
-    assert all(row)
-    assert set(row.where) <= set(ALL)
-    for test in row.tests:
-        file, _, name = test.partition("::")
-        assert name in functions(file), test
+def test_every_row_is_complete_and_its_tests_exist():
+    for row in ANSWERS:
+        assert all(row), row
+        assert set(row.where) <= set(ALL), row
+        for test in row.tests:
+            file, _, name = test.partition("::")
+            assert name in functions(file), test
 
 
 def test_no_fault_stands_twice():

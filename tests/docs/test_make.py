@@ -93,9 +93,11 @@ def _blocks(kind: type[Block]) -> Iterator[type[Block]]:
         yield from _blocks(below)
 
 
-@pytest.mark.parametrize("block", sorted(set(_blocks(Block)), key=lambda block: block.__name__))
-def test_every_key_has_a_meaning(block):
-    assert set(meanings(block)) == set(block.model_fields)
+def test_every_key_has_a_meaning():
+    blocks = set(_blocks(Block))
+    assert len(blocks) > 50
+    wrong = {block.__name__ for block in blocks if set(meanings(block)) != set(block.model_fields)}
+    assert wrong == set()
 
 
 def test_rows_say_what_the_schema_says():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
-import pytest
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).parents[2]
@@ -21,20 +21,24 @@ _FILES_BELOW = ("", "ptnsbc_core")
 _GONE = ("CHANGELOG.md",)  # names what was there
 
 
+@cache
+def _spans(page: Path) -> tuple[str, ...]:
+    """What stands in backticks on a page."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
+    children = (child for token in tokens for child in token.children or ())
+    return tuple(child.content for child in children if child.type == "code_inline")
+
+
 def _named(page: Path, pattern: re.Pattern[str]) -> set[str]:
     """What stands in backticks on a page and matches."""
-    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
-    spans = [child.content for token in tokens for child in token.children or ()
-             if child.type == "code_inline"]  # fmt: skip
-    return {found for span in spans for found in pattern.findall(span)}
+    return {found for span in _spans(page) for found in pattern.findall(span)}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_tests_that_are_named_exist(page):
-    named = _TEST.findall(page.read_text(encoding="utf-8"))
+def test_tests_that_are_named_exist():
     missing = [
-        f"{file}::{name}"
-        for file, name in named
+        f"{page.name}: {file}::{name}"
+        for page in PAGES
+        for file, name in _TEST.findall(page.read_text(encoding="utf-8"))
         if not re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert missing == []
@@ -50,21 +54,19 @@ def test_tests_that_are_named_without_a_file_exist():
     assert [row for row in sorted(named) if row[1] not in written] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_that_are_named_exist(page):
-    modules = _named(page, _MODULE) if page.name in _LAWS else set()
+def test_files_that_are_named_exist():
     missing = {
-        name
-        for name in _named(page, _FILE) | modules
+        (page.name, name)
+        for page in PAGES
+        for name in _named(page, _FILE) | (_named(page, _MODULE) if page.name in _LAWS else set())
         if not any((ROOT / below / name).is_file() for below in _FILES_BELOW)
     }
-    assert page.name in _GONE or missing == set()
+    assert {row for row in missing if row[0] not in _GONE} == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_modules_that_are_named_exist(page):
-    missing = {name for name in _named(page, _DOTTED) if not _exists(name)}
-    assert page.name in _GONE or missing == set()
+def test_modules_that_are_named_exist():
+    named = {(page.name, name) for page in PAGES for name in _named(page, _DOTTED)}
+    assert {row for row in named if row[0] not in _GONE and not _exists(row[1])} == set()
 
 
 def _exists(name: str) -> bool:
@@ -82,6 +84,7 @@ def _exists(name: str) -> bool:
     return not parts or parts[0] in _top_names(module)
 
 
+@cache
 def _top_names(module: Path) -> set[str]:
     found: set[str] = set()
     for node in ast.parse(module.read_text(encoding="utf-8")).body:

@@ -7,6 +7,9 @@ import importlib.util
 import re
 import subprocess
 from collections.abc import Iterator
+from contextlib import redirect_stdout
+from functools import cache
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -33,58 +36,77 @@ def _spans(page: Path) -> Iterator[str]:
                 yield child.content
 
 
-def _mentioned(first: str) -> list[tuple[str, str]]:
+@pytest.fixture(scope="module")
+def mentioned() -> dict[str, list[tuple[str, list[str]]]]:
+    """By program: the page of each command that is mentioned, and the words after the program."""
     found = {
-        (page.name, " ".join(span.partition("  #")[0].split()))
+        (page.name, span.partition("  #")[0])
         for page in PAGES
         for span in _spans(page)
-        if span.split()[:1] == [first]
+        if span.split()[:1]
     }
-    return sorted(found)
+    commands: dict[str, list[tuple[str, list[str]]]] = {}
+    for page, span in sorted(found):
+        program, *words = _words(span) or [""]
+        commands.setdefault(program, []).append((page, words))
+    return commands
 
 
 def _words(span: str) -> list[str]:
     return re.sub(r"[\[\]…]", " ", span).split()
 
 
-@pytest.mark.parametrize(("page", "span"), _mentioned("ptnsbc"))
-def test_ptnsbc(page, span, capsys):
-    command, words = COMMANDS, _words(span)[1:]
-    while words and words[0] in getattr(command, "commands", {}):
-        command = command.commands[words.pop(0)]
-    at_the_root = command is COMMANDS and words and re.fullmatch(r"[a-z]\w*", words[0])
-    assert not at_the_root, f"{page}: `{span}`: no command {words[0]}"
-    known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
-    if command is COMMANDS.commands["reproduce"]:
-        known |= {option for one in typer.main.get_command(paper_app).params for option in one.opts}
-    if command is COMMANDS.commands["node"] and words and words[0] != "NAME":
-        known |= _options_of_a_process(words[0], capsys)
-    given = {word for word in re.findall(r"(?:^|[\s|])(--[a-z][\w-]*)", " ".join(words))}
-    assert given <= known | {"--help"}, f"{page}: `{span}`"
+def test_ptnsbc(mentioned):
+    known = {id(COMMANDS): _options(COMMANDS)}
+    wrong = []
+    for page, words in mentioned["ptnsbc"]:
+        command, rest = COMMANDS, list(words)
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command = command.commands[rest.pop(0)]
+        if command is COMMANDS and rest and re.fullmatch(r"[a-z]\w*", rest[0]):
+            wrong.append((page, words, "no such command"))
+        options = known.setdefault(id(command), _options(command))
+        if command is COMMANDS.commands["reproduce"]:
+            options = options | _options(typer.main.get_command(paper_app))
+        if command is COMMANDS.commands["node"] and rest and rest[0] != "NAME":
+            options = options | _options_of_a_process(rest[0])
+        given = set(re.findall(r"(?:^|[\s|])(--[a-z][\w-]*)", " ".join(rest)))
+        if not given <= options:
+            wrong.append((page, words, given - options))
+    assert wrong == []
 
 
-def _options_of_a_process(name, capsys):
+def _options(command):
+    named = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+    return named | {"--help"}
+
+
+@cache
+def _options_of_a_process(name):
     pytest.importorskip("rclpy")
     modules = {executable: module for module, executable in EXECUTABLES.items()}
-    with pytest.raises(SystemExit):
+    with redirect_stdout(StringIO()) as out, pytest.raises(SystemExit):
         importlib.import_module(modules[name]).main(["--help"])
-    return set(re.findall(r"--[a-z][\w-]*", capsys.readouterr().out))
+    return set(re.findall(r"--[a-z][\w-]*", out.getvalue()))
 
 
-@pytest.mark.parametrize(("page", "span"), _mentioned("make"))
-def test_make(page, span):
+def test_make(mentioned):
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    wanted = {word for word in _words(span)[1:] if re.fullmatch(r"[a-z]+", word)}
-    assert wanted <= targets, f"{page}: `{span}`"
+    wanted = {
+        (page, word)
+        for page, words in mentioned["make"]
+        for word in words
+        if re.fullmatch(r"[a-z]+", word)
+    }
+    assert {(page, word) for page, word in wanted if word not in targets} == set()
 
 
-@pytest.mark.parametrize(("page", "span"), _mentioned("python"))
-def test_python(page, span):
-    words = _words(span)[1:]
-    if words[0] == "-m":
-        assert importlib.util.find_spec(words[1]), f"{page}: `{span}`"
-    else:
-        assert (ROOT / words[0]).is_file(), f"{page}: `{span}`"
+def test_python(mentioned):
+    for page, words in mentioned["python"]:
+        if words[0] == "-m":
+            assert importlib.util.find_spec(words[1]), (page, words)
+        else:
+            assert (ROOT / words[0]).is_file(), (page, words)
 
 
 def test_the_links_between_pages_lead_somewhere():
