@@ -7,7 +7,11 @@ the same result on every machine.
 
 from __future__ import annotations
 
+import copyreg
+import struct
+import threading
 from collections import deque
+from copy import deepcopy
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +19,7 @@ import numpy as np
 from ptnsbc_autopilot.launch import KINDS, Fleet, starts
 from ptnsbc_autopilot.server import Codec
 from ptnsbc_autopilot.vehicle import COMPANION, IMPOSTOR
+from ptnsbc_core.agent import OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
@@ -36,6 +41,11 @@ STEP_S = 0.004  # of the stand-ins
 BASE_NS = 1_700_000_000_000_000_000
 START_S = 1000.0
 AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
+# Parts of a flight that `deepcopy` makes anew.
+copyreg.pickle(struct.Struct, lambda one: (struct.Struct, (one.format,)))
+copyreg.pickle(type(threading.Lock()), lambda _: (threading.Lock, ()))
+copyreg.pickle(PackedOutputs, lambda one: (PackedOutputs, (one.vector,)))
+copyreg.pickle(Agent, lambda one: (Agent.resumed, (one._memory[0][0], one.state)))
 HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
 
 
@@ -101,9 +111,9 @@ class FleetUav:
         kind = kind or start.kind or "px4"
         self.codec, self.other_codec = Codec(start.system), Codec(start.system)
         self.vehicle = KINDS[kind](
-            start.system, start.body, fleet.now_s, boot_time=0.1, say=self.lines.append
+            start.system, start.body, fleet.now_s, boot_time=0.1, say=self.on_line
         )
-        self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
+        self.wire = Wire(fleet.now, fleet.delay_s)
         self.edges = edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
         self.limits = None  # of the vehicle, as its bridge tells them
         self.senders = edges.senders(uav_id)
@@ -124,11 +134,11 @@ class FleetUav:
             limits=self.on_limits,
             lost=self.on_lost,
             apart=self.on_apart,
-            truth=lambda stamp_ns, odometry: self.truths.append((stamp_ns, odometry)),
-            log=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
+            truth=self.on_truth,
+            log=self.on_log,
         )
         self.inputs = BridgeInputs(controller_ready=True)
-        clocks = Clocks(lambda: fleet.now_s, lambda: BASE_NS + round((fleet.now_s - START_S) * 1e9))
+        clocks = Clocks(fleet.now, fleet.wall_ns)
         self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
         self.bridge = Bridge(
             scenario,
@@ -150,6 +160,15 @@ class FleetUav:
         self.controller, self.began, self.alive = self.new_controller(), False, True
         if self.limits is not None:
             self.on_limits(self.limits)
+
+    def on_line(self, line):
+        self.lines.append(line)
+
+    def on_log(self, line):
+        self.lines.append(f"{self.fleet.now_s - START_S:7.2f} bridge {line}")
+
+    def on_truth(self, stamp_ns, odometry):
+        self.truths.append((stamp_ns, odometry))
 
     def on_lost(self):
         self.lost += 1
@@ -276,9 +295,23 @@ class MavlinkFleet:
         for uav in self.uavs.values():
             uav.inputs.leader_origin = place
 
+    def now(self):
+        return self.now_s
+
+    def wall_ns(self):
+        return BASE_NS + round((self.now_s - START_S) * 1e9)
+
     @property
     def now_ns(self):
-        return BASE_NS + round((self.now_s - START_S) * 1e9)
+        return self.wall_ns()
+
+    def copied(self):
+        """The same flight at the same moment, of which what happens to one changes nothing in the other."""
+        other = deepcopy(self, {id(self.scenario): self.scenario})
+        for uav in other.uavs.values():  # a view of an array is copied as an array of its own
+            inbox = uav.controller.inbox
+            inbox._own_row = inbox._inputs.vector[OWN:PARENT]
+        return other
 
     def announce(self, leg, lead_s=0.5):
         t0_ns = self.now_ns + round(lead_s * 1e9)

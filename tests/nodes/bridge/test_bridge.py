@@ -1,5 +1,7 @@
 """A bridge and the stand-in of its vehicle: every fault of the one and the other, on a clock of the tests."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -39,12 +41,27 @@ def test_a_leader_alone_by_the_other_ways(kind, setpoint):
     assert fleet.uavs[1].bridge.procedure.fault == "", fleet.report()
 
 
-def one(**overrides):
-    """One flying vehicle of four, in formation with itself."""
-    fleet = MavlinkFleet(scenario(**overrides), count=1)
+@cache
+def in_formation():
+    """One flying vehicle of four, in formation with itself; whoever goes on takes a copy."""
+    fleet = MavlinkFleet(scenario(), count=1)
     fleet.set_parameter("COM_OBL_RC_ACT", 5)
-    fleet.airborne().form().run(2.0)
+    return fleet.airborne().form().run(2.0)
+
+
+def one():
+    """A copy of that flight, and its vehicle."""
+    fleet = in_formation().copied()
     return fleet, fleet.uavs[1]
+
+
+def test_a_copy_of_a_flight_goes_on_as_the_flight():
+    fleet, uav = one()
+    other = fleet.copied().run(0.5).uavs[1]
+    assert len(other.odometry) > len(uav.odometry)  # it has time and vehicle of its own
+    fleet.run(0.5)
+    assert np.array(other.odometry).tobytes() == np.array(uav.odometry).tobytes()
+    assert other.setpoints[-1][1].to_dict() == uav.setpoints[-1][1].to_dict()
 
 
 def until(fleet, uav, step, seconds=10.0):
