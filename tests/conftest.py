@@ -40,7 +40,11 @@ COUNTED = ("passed", "failed", "skipped", real_time.NOT_JUDGED)
 
 # Neither a slow machine nor chance decides.
 settings.register_profile(
-    "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "steady",
+    max_examples=40,  # `make fuzz` tries more
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("steady")
 
@@ -120,9 +124,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     items.sort(key=_turn)
     for item in items:
-        if "alone" in item.keywords and not _place(item).startswith(("nodes/", "support/")):
+        place = "nodes/" if "slow" in item.keywords else "support/"
+        if "alone" in item.keywords and not _place(item).startswith(place):
             raise pytest.UsageError(
-                f"{item.nodeid}: make test flies `alone` of tests/nodes and tests/support only"
+                f"{item.nodeid}: run.py looks for tests marked `alone` in tests/{place} only"
             )
 
 

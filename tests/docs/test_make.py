@@ -128,10 +128,15 @@ def _cells(page: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()[2:]]
 
 
+@pytest.fixture(scope="module")
+def made_scenarios():
+    return scenarios.regions()
+
+
 @pytest.mark.parametrize("plant", scenarios.PLANTS)
-def test_defaults_of_gains_are_those_of_a_flight(plant):
+def test_defaults_of_gains_are_those_of_a_flight(plant, made_scenarios):
     """By another way than the page is made: through the loader of a scenario."""
-    made, flown = scenarios.regions(), _resolved(plant)
+    made, flown = made_scenarios, _resolved(plant)
     side = scenarios.PLANTS.index(plant)
     documented = {row[0].strip("`"): row[3] for row in _cells(made["gains"])}
     for loop, *values in _cells(made["loops"]):

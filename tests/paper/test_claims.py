@@ -114,6 +114,7 @@ def test_with_few_links_the_graph_weakens_instead() -> None:
     assert few[50].lambda_min < few[5].lambda_min / 5
 
 
+@pytest.mark.slow
 def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed() -> None:
     laws, way = baselines.PREDEFINED, baselines.LawVariant()
     found = {**baselines.ours(), **{law: baselines.flight(law, way) for law in laws}}
@@ -132,6 +133,7 @@ def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed
     assert claims.energy_claim(thrifty, found, laws).verdict == FAILS
 
 
+@pytest.mark.slow
 def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed() -> None:
     laws, way = baselines.PREDEFINED, baselines.LawVariant(name="paper_20")
     found = {**baselines.ours("paper_20"), **{law: baselines.flight(law, way) for law in laws}}
@@ -147,6 +149,7 @@ def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed(
     assert claims.initial_claim("twenty", found, None, 99.0, laws).verdict == FAILS
 
 
+@pytest.mark.slow
 def test_limited_actuators_limit_every_law_and_each_is_flown_from_the_same_draws() -> None:
     limit_n, laws = 23.5, baselines.PREDEFINED
     variant = baselines.LawVariant(limit_n=limit_n)

@@ -53,8 +53,10 @@ def test_every_uav_is_in_its_place_at_the_deadline(name: str, plant: str) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("plant", PLANTS)
-@pytest.mark.parametrize(("approach", "apart_m"), [("task", 0.9), ("planned", 0.5)])
+@pytest.mark.parametrize(
+    ("plant", "approach", "apart_m"),
+    [("rigid_body_6dof", "task", 0.9), ("quadrotor", "planned", 0.5)],
+)
 def test_twenty_pass_both_obstacles_and_stay_in_formation(
     plant: str, approach: str, apart_m: float
 ) -> None:

@@ -74,7 +74,7 @@ class HoverRig(HoverWorld):
         assert until is None and self.test.over, self.lines[-12:]
         return self
 
-    def begun(self, after_s=6.0):
+    def begun(self, after_s=3.0):
         """Until the sinusoids are flown for some seconds."""
         self.run(until=lambda: self.printed("hover test:"))
         begin_s = self.now_s

@@ -81,6 +81,7 @@ def test_formation_is_there_at_the_deadline(task: str) -> None:
     assert chain(task, by_the_design).max() < 0.01
 
 
+@pytest.mark.slow
 def test_printed_sign_of_30_is_metres_off() -> None:
     errors = chain("distance_angles", without_neighbours(-1.0))
     assert errors.min() > 2.0
@@ -89,6 +90,7 @@ def test_printed_sign_of_30_is_metres_off() -> None:
     assert chain("distance_angles", without_neighbours(-1.0), kappa=1.0).max() > 2.0
 
 
+@pytest.mark.slow
 def test_without_the_neighbours_velocities_it_is_decimetres_off() -> None:
     errors = chain("distance_angles", without_neighbours(1.0))
     assert 0.1 < errors.max() < 1.0
@@ -199,7 +201,7 @@ def test_half_of_a_parents_deviation_reaches_its_child(lag_s: float) -> None:
     settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))), UNDISTURBED)
     slot, offset = np.array(config.slot), np.array(config.offset)
     settling = round(10.0 / DT)
-    for omega in (0.3, 1.0, 3.0, 10.0):
+    for omega in (1.0, 10.0):
         period = round(2.0 * np.pi / omega / DT)
         for delay in (0, 15):
             position, velocity, seen = slot.copy(), np.zeros(3), []

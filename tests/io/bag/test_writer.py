@@ -296,8 +296,7 @@ ENDLESS = textwrap.dedent(
 )
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("after", [20_000, 25_000, 31_000])
+@pytest.mark.parametrize(("how", "after"), [(signal.SIGINT, 5_000), (signal.SIGKILL, 11_000)])
 def test_interrupted_process(tmp_path, how, after):
     process = subprocess.Popen(
         [sys.executable, "-c", ENDLESS, str(tmp_path / "flight"), str(after)],

@@ -41,8 +41,7 @@ TRUE = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gnss", ["rtk", "quiet"])
-@pytest.mark.parametrize("kind", TRUE)
+@pytest.mark.parametrize(("kind", "gnss"), [("px4", "rtk"), ("arducopter", "quiet")])
 def test_the_response_that_is_found_is_that_of_the_stand_in(kind, gnss):
     """Within 5 % of the gain, and 0.04 s of the lag, of which link and setpoint period are 0.01 to 0.03 s."""
     rig = HoverRig(kind, gnss=gnss).run()

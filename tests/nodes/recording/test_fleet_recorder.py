@@ -297,8 +297,7 @@ class Process:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize(("how", "lockstep"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_process(ros, tmp_path, how, lockstep):
     scenario = tmp_path / "scenario.yaml"
     scenario.write_text("n: 1\n")

@@ -73,7 +73,7 @@ def _flown(kind: str, named: str) -> Scenario:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["law", "plant"])
 def test_an_installed_package_brings_functions(
     kind: str,
     tmp_path: Path,
@@ -98,7 +98,10 @@ def test_an_installed_package_brings_functions(
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "task")) for kind in KINDS],
+    [
+        pytest.param(kind, marks=[pytest.mark.slow] * (kind in ("law", "task", "controller")))
+        for kind in KINDS
+    ],
 )
 def test_what_numba_cannot_compile_is_interpreted_with_a_word(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

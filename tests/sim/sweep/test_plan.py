@@ -89,8 +89,10 @@ def test_draw_is_the_scenario_that_the_loop_flies() -> None:
         assert draw(plan, k) == drawn_scenario(plan, k)[0]
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-@pytest.mark.parametrize("starts", ["file", "near:0.4", "box:60,60,20"])
+@pytest.mark.parametrize(
+    ("name", "starts"),
+    [*((name, "near:0.4") for name in SHIPPED), ("paper_5", "file"), ("mission_6", "box:60,60,20")],
+)
 def test_a_draw_of_starts_alone_is_one_that_was_validated(name: str, starts: str) -> None:
     rest = {"starts": parse_starts(starts), "stop_after_s": 0.3, "seed": 5}
     plan = plan_of(load_scenario(name), 2, **rest)

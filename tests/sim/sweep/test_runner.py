@@ -32,7 +32,7 @@ def base(name: str = "paper_5_free", **changes) -> Scenario:
     return load_scenario(name, {**quick, **changes})
 
 
-def small(runs: int = 60, **rest) -> SweepPlan:
+def small(runs: int = 27, **rest) -> SweepPlan:
     axes = (parse_axis(f"{KAPPA}=1:3"),)
     return plan_of(base(), runs, axes=axes, starts=parse_starts("near:0.3"), **rest)
 
@@ -66,18 +66,15 @@ def test_a_row_has_the_figures_of_the_headless_flight(changes: dict) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", [2, 4])
-def test_the_table_is_the_same_for_any_number_of_workers(
-    flown: Path, workers: int, tmp_path: Path
-) -> None:
-    result = run(small(), tmp_path / "sweep", workers=workers)
+def test_the_table_is_the_same_for_several_workers(flown: Path, tmp_path: Path) -> None:
+    result = run(small(), tmp_path / "sweep", workers=2)
     assert not result.failed
     assert result.table.read_bytes() == flown.read_bytes()
 
 
 def test_the_table_tells_units_plan_and_versions(flown: Path) -> None:
     table = pq.read_table(flown)
-    assert table.num_rows == 60 * 5
+    assert table.num_rows == 27 * 5
     assert (
         table.column(f"drawn.{KAPPA}").to_pylist()[:5]
         == [table.column(f"drawn.{KAPPA}")[0].as_py()] * 5
@@ -110,7 +107,7 @@ def test_a_sweep_goes_on_where_it_ended(flown: Path, tmp_path: Path) -> None:
 
 def test_a_folder_of_another_plan_is_refused(flown: Path, tmp_path: Path) -> None:
     with pytest.raises(SweepError, match="another plan"):
-        run(small(61), flown.parent, workers=1)
+        run(small(28), flown.parent, workers=1)
     (tmp_path / "file").touch()
     with pytest.raises(SweepError, match="other files"):
         run(small(), tmp_path, workers=1)
@@ -156,17 +153,17 @@ def test_a_chunk_that_fails_is_tried_once_more_and_named(
     def broken(text: str, index: int) -> bytes:
         tried.append(index)
         if index == 1:
-            raise SweepError("draw 30: no such flight")
+            raise SweepError("draw 26: no such flight")
         return fly_chunk(text, index)
 
     monkeypatch.setattr(runner, "fly_chunk", broken)
     result = run(small(), tmp_path / "sweep", workers=1)
     (failed,) = result.failed
-    assert (failed.index, failed.draws) == (1, range(25, 50))
-    assert failed.error == "draw 30: no such flight"
+    assert (failed.index, failed.draws) == (1, range(25, 27))
+    assert failed.error == "draw 26: no such flight"
     assert tried.count(1) == 2
     draws = set(pq.read_table(result.table).column("draw").to_pylist())
-    assert draws == set(range(25)) | set(range(50, 60))
+    assert draws == set(range(25))
 
 
 def test_a_draw_that_cannot_be_flown_is_a_row_with_its_cause() -> None:

@@ -1,6 +1,7 @@
 """The inverse of a vehicle's response: vehicles of closed form, and the stand-ins."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -32,22 +33,19 @@ def flown(response, drag, s, **smoothing):
 
 
 @KINDS
-@pytest.mark.parametrize("drag", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize("hertz", [0.02, 0.1, 0.25, 0.5, 2.0])
-def test_without_low_passes_the_vehicle_flies_exactly_what_is_wanted(response, drag, hertz):
-    assert flown(response, drag, 2j * math.pi * hertz, smoothing_s=0.0) == pytest.approx(
-        1.0, rel=1e-9
-    )
+def test_without_low_passes_the_vehicle_flies_exactly_what_is_wanted(response):
+    for drag, hertz in product((0.0, 0.2, 1.0), (0.02, 0.1, 0.25, 0.5, 2.0)):
+        found = flown(response, drag, 2j * math.pi * hertz, smoothing_s=0.0)
+        assert found == pytest.approx(1.0, rel=1e-9), (drag, hertz)
 
 
 @KINDS
-@pytest.mark.parametrize("drag", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize("hertz", [0.02, 0.1, 0.25, 0.5])
-def test_low_passes_cost_a_tenth_of_a_second(response, drag, hertz):
-    s = 2j * math.pi * hertz
-    found = flown(response, drag, s)
-    assert 0.85 < abs(found) < 1.35
-    assert abs(np.angle(found)) / abs(s) < 0.25
+def test_low_passes_cost_a_tenth_of_a_second(response):
+    for drag, hertz in product((0.0, 0.2, 1.0), (0.02, 0.1, 0.25, 0.5)):
+        s = 2j * math.pi * hertz
+        found = flown(response, drag, s)
+        assert 0.85 < abs(found) < 1.35, (drag, hertz)
+        assert abs(np.angle(found)) / abs(s) < 0.25, (drag, hertz)
 
 
 @KINDS
@@ -57,7 +55,7 @@ def test_a_formation_loop_around_it_does_not_overshoot(response, drag, kappa):
     """ArduCopter without the lead has a peak above 4 at 1.5 1/s."""
     delay_s = 0.08
     peak = 0.0
-    for w in np.geomspace(0.05, 20.0, 400):
+    for w in np.geomspace(0.05, 20.0, 150):
         loop = kappa / (1j * w) * np.exp(-1j * w * delay_s) * flown(response, drag, 1j * w)
         peak = max(peak, abs(loop / (1 + loop)))
     assert peak < (1.1 if kappa < 2.0 else 1.35)
