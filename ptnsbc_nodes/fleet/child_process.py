@@ -48,10 +48,8 @@ class ProcessCommand:
     def within(self, namespace: str, *, secured: bool = False) -> ProcessCommand:
         """The same process with its node in the namespace of a fleet, and with its own identity of DDS Security."""
         words: list[str] = []
-        if namespace and len(self.uavs) == 1:
-            words += ["-r", f"__ns:={namespace}/{self.lost[0]}"]
-        elif namespace and not self.uavs:
-            words += ["-r", f"__ns:={namespace}"]
+        if namespace and len(self.uavs) < 2:
+            words += ["-r", f"__ns:={namespace}" + "".join(f"/uav{uav}" for uav in self.uavs)]
         if secured:
             words += ["--enclave", f"{namespace}/{self.name}"]
         # A remapping of ROS would move all nodes of several UAVs into one namespace.
@@ -161,17 +159,12 @@ class ChildProcess:
 
 
 class Crew:
-    """The processes of one launcher, in the order of their start.
-
-    Args:
-        settings: environment of the processes.
-        log_dir: folder of their logs.
-        lifecycle: takes their nodes to active.
-    """
+    """The processes of one launcher, in the order of their start."""
 
     def __init__(
         self, settings: Mapping[str, str], log_dir: Path, lifecycle: LifecycleManager
     ) -> None:
+        """`settings`: environment of the processes; `lifecycle`: takes their nodes to active."""
         self.children: list[ChildProcess] = []
         self._settings, self._log_dir, self._lifecycle = settings, log_dir, lifecycle
 
@@ -202,12 +195,7 @@ class Crew:
 
 
 def end(children: Sequence[ChildProcess], patience_s: float = _PATIENCE_S) -> None:
-    """End processes together, with SIGINT, SIGTERM and SIGKILL; all have ended when this returns.
-
-    Args:
-        children: Those that have ended already are left alone.
-        patience_s: Time they have to end by themselves after SIGINT.
-    """
+    """End processes together, by SIGINT, after `patience_s` SIGTERM, and SIGKILL; all have ended when this returns."""
     for number, limit_s in {signal.SIGINT: patience_s, **_HARDER}.items():
         left = [child for child in children if child.exit_code is None]
         for child in left:

@@ -28,14 +28,7 @@ _SMALLEST_FULL_DISK = 1 << 16  # [bytes]; the log of the recorder must still fit
 
 
 class FaultInjector:
-    """The faults of the processes of one launcher.
-
-    Args:
-        options: of the flight.
-        report: takes a line for each fault.
-        restart: starts a process again that has been killed.
-        steady_s: the clock of the launcher.
-    """
+    """The faults of the processes of one launcher."""
 
     def __init__(
         self,
@@ -44,9 +37,8 @@ class FaultInjector:
         restart: Callable[[ChildProcess], None],
         steady_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._options = options
-        self._report = report
-        self._restart = restart
+        """`report`: takes a line for each fault; `restart`: starts a process again that has been killed."""
+        self._options, self._report, self._restart = options, report, restart
         self._steady_s = steady_s
         self._t0_s = steady_s()
         self._due: list[tuple[float, FaultBlock]] = []
@@ -115,9 +107,10 @@ class FaultInjector:
     def _fill_disk(self, child: ChildProcess) -> None:
         """No file of the process grows beyond the largest that it writes."""
         bag = self._options.bag
-        part = None if bag is None else Path(f"{bag}.part")
-        sizes = [] if part is None or not part.is_dir() else map(_size, part.iterdir())
-        limit = max([_SMALLEST_FULL_DISK, *sizes])
+        limit = _SMALLEST_FULL_DISK
+        for file in () if bag is None else Path(f"{bag}.part").glob("*"):
+            with suppress(OSError):
+                limit = max(limit, file.stat().st_size)
         with suppress(OSError, ValueError):  # it may just have ended
             _, most = resource.prlimit(child.pid, resource.RLIMIT_FSIZE)
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (limit, most))
@@ -125,12 +118,6 @@ class FaultInjector:
 
 def _is_ours(fault: FaultBlock) -> bool:
     return fault.rule.strikes in (PROCESS, RECORDER)
-
-
-def _size(path: Path) -> int:
-    with suppress(OSError):
-        return path.stat().st_size
-    return 0
 
 
 def hear_faults(node: FleetNode, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:

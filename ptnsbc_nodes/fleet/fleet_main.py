@@ -6,12 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
-
-if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.fleet import FleetResult
 
 _INTERRUPTED = 130
 
@@ -45,36 +41,32 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
     if arguments.backend == "mavlink":
         scenario = scenario.bridged()
-    options = FleetOptions(
-        scenario=scenario,
-        backend=arguments.backend,
-        allow_arming=arguments.allow_arming,
-        lockstep=arguments.lockstep,
-        bag=arguments.bag,
-        overwrite=arguments.overwrite,
-        processes=arguments.processes,
-        wait=arguments.wait,
-        log_dir=arguments.log_dir,
+    names = (
+        "lockstep",
+        "backend",
+        "allow_arming",
+        "bag",
+        "overwrite",
+        "processes",
+        "wait",
+        "log_dir",
     )
+    options = FleetOptions(scenario, **{name: getattr(arguments, name) for name in names})
     result = run_fleet(options, _say)
-    _say(_summary(result))
+    end = "interrupted" if result.interrupted else "landed"
+    gone = (*result.died, *result.killed)
+    lost = f", lost {', '.join(gone)}" if gone else ""
+    kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
+    for what in ("late", "lost"):
+        if result.recorded.get(what):
+            kept += f", {result.recorded[what]} {what}"
+    seconds = f"{result.flight_s:.1f} s (start-up {result.startup_s:.1f} s)"
+    _say(f"{end} after {seconds}{lost}{kept}")
     return result.exit_code
 
 
 def _say(line: str) -> None:
     print(f"fleet: {line}", file=sys.stderr, flush=True)
-
-
-def _summary(result: FleetResult) -> str:
-    end = "interrupted" if result.interrupted else "landed"
-    gone = (*result.died, *result.killed)
-    lost = f", lost {', '.join(gone)}" if gone else ""
-    kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
-    if result.recorded.get("late"):
-        kept += f", {result.recorded['late']} late"
-    if result.recorded.get("lost"):
-        kept += f", {result.recorded['lost']} lost"
-    return f"{end} after {result.flight_s:.1f} s (start-up {result.startup_s:.1f} s){lost}{kept}"
 
 
 if __name__ == "__main__":

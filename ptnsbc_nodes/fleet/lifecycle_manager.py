@@ -39,14 +39,13 @@ class _ManagedTransitions:
     def done(self) -> bool:
         return not self._steps or self.refused
 
-    @property
     def _may_ask(self) -> bool:
         return bool(self._steps) and not (self._steps[0] == _ACTIVATE and self._held())
 
     def look(self) -> None:
         """Request the next transition when no answer is awaited."""
         silent = time.monotonic() - self._asked_s > _ANSWER_S
-        if not self.done and silent and self._may_ask and self._client.service_is_ready():
+        if not self.done and silent and self._may_ask() and self._client.service_is_ready():
             if self._call is not None:
                 self._doubtful = True
                 self._turn()
@@ -83,7 +82,7 @@ class _ManagedTransitions:
             self._turn()
         else:
             self._steps.pop(0)
-        if self._may_ask:
+        if self._may_ask():
             self._ask()
 
     def _turn(self) -> None:
@@ -92,17 +91,12 @@ class _ManagedTransitions:
 
 
 class LifecycleManager:
-    """Takes any number of nodes to active; call `look` regularly.
-
-    Attributes:
-        held: names of processes whose nodes stay inactive for as long as they are in there.
-        refused: names of those that refused a transition.
-    """
+    """Takes any number of nodes to active; call `look` regularly."""
 
     def __init__(self, active: set[str]) -> None:
         """`active`: processes whose diagnostics say that they are active: they get no further request."""
-        self.held: set[str] = set()
-        self.refused: list[str] = []
+        self.held: set[str] = set()  # processes whose nodes stay inactive while they are in there
+        self.refused: list[str] = []  # those that refused a transition
         self._active = active
         self._managed: dict[str, str] = {}  # node by process
         self._nodes: dict[str, _ManagedTransitions] = {}
@@ -117,9 +111,7 @@ class LifecycleManager:
     def manage(self, name: str, node: str) -> None:
         """Take a node to active, from the beginning and as soon as it is there.
 
-        Args:
-            name: Of its process, as on /diagnostics.
-            node: Its name below the namespace of the fleet, `/uav3/controller`.
+        `name` is that of its process, as on /diagnostics; `node` is below the fleet, `/uav3/controller`.
         """
         self._managed[name] = node
         self._active.discard(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 
 BRIDGE = "ptnsbc_nodes.bridge.bridge_main"
+_UAV = "ptnsbc_nodes.uav.uav_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 
 
@@ -90,25 +91,38 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     The recorder comes first, because it must miss nothing. The sim comes last: in real time a UAV ticks from its
     first odometry on, and twenty ticking UAVs make the others load three times as long.
     """
+    scenario, bridged = options.scenario, options.backend == "mavlink"
     common = ["--scenario", str(scenario_file)]
-    if options.lockstep:
-        common.append("--lockstep")
-    if options.recorded:
-        common.append("--recorded")
-    found = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
-    if options.backend == "mavlink":
+    common += ["--lockstep"] if options.lockstep else []
+    common += ["--recorded"] if options.recorded else []
+    listed = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
+    if bridged:
         common.append("--bridged")
-        found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
-    found += [_uavs(common, group) for group in groups(options)]
-    if options.backend != "mavlink":
-        found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
-    here = [one for one in found if not options.only or one.name in options.only]
+        arming = ["--allow-arming"] if options.allow_arming else []
+        for uav in scenario.uav_ids:
+            words = (*common, "--uav", str(uav), "--managed", *arming)
+            managed = f"/uav{uav}/bridge"
+            listed.append(ProcessCommand(f"bridge{uav}", BRIDGE, words, (uav,), managed, ends=True))
+    for group in groups(options):
+        words, first = (*common, "--uav", *map(str, group)), group[0]
+        if len(group) == 1:
+            managed = f"/uav{first}/controller"
+            listed.append(
+                ProcessCommand(f"uav{first}", _UAV, (*words, "--managed"), group, managed)
+            )
+        else:
+            # They activate themselves: fifty nodes of one process answer fifty requests one after the other, and the
+            # last answers come too late.
+            listed.append(ProcessCommand(f"uav{first}-{group[-1]}", _UAV, words, group))
+    if not bridged:
+        listed.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
+    here = [one for one in listed if not options.only or one.name in options.only]
     if options.operator and options.leads:
-        arguments = ("--scenario", str(scenario_file))
+        words = ("--scenario", str(scenario_file))
         here.append(
-            ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", arguments, beside=True)
+            ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", words, beside=True)
         )
-    secured = options.scenario.security == "required"
+    secured = scenario.security == "required"
     return [command.within(options.namespace, secured=secured) for command in here]
 
 
@@ -125,14 +139,13 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
     picked: set[str] = set()
     for word in text.replace(",", " ").split():
         meant = {f"uav{word}", f"bridge{word}"} if word.isdecimal() else {word}
-        found = meant.intersection(there)
-        if not found:
+        if not meant.intersection(there):
             numbers = ", ".join(map(str, scenario.uav_ids))
             raise ProcessListError(
                 f"--only: {word!r} is no process of {scenario.name}: expected some of "
                 f"{', '.join(there)}, or the numbers of UAVs ({numbers})"
             )
-        picked |= found
+        picked |= meant.intersection(there)
     if not picked:
         raise ProcessListError(f"--only: nothing named: expected some of {', '.join(there)}")
     return frozenset(picked)
@@ -143,37 +156,6 @@ def groups(options: FleetOptions) -> list[tuple[int, ...]]:
     ids = options.scenario.uav_ids
     count = options.processes or len(ids)
     return [tuple(ids[k * len(ids) // count : (k + 1) * len(ids) // count]) for k in range(count)]
-
-
-def _uavs(common: Sequence[str], group: tuple[int, ...]) -> ProcessCommand:
-    """The process of one UAV, or of several, which activate themselves.
-
-    Fifty nodes of one process answer fifty requests one after the other, and the last answers come too late.
-    """
-    arguments = (*common, "--uav", *map(str, group))
-    if len(group) > 1:
-        name = f"uav{group[0]}-{group[-1]}"
-        return ProcessCommand(name, "ptnsbc_nodes.uav.uav_main", arguments, group)
-    (uav,) = group
-    managed = f"/uav{uav}/controller"
-    return ProcessCommand(
-        f"uav{uav}", "ptnsbc_nodes.uav.uav_main", (*arguments, "--managed"), group, managed
-    )
-
-
-def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
-    arguments = [*common, "--uav", str(uav), "--managed"]
-    if options.allow_arming:
-        arguments.append("--allow-arming")
-    managed = f"/uav{uav}/bridge"
-    return ProcessCommand(f"bridge{uav}", BRIDGE, tuple(arguments), (uav,), managed, ends=True)
-
-
-def _silences(options: FleetOptions) -> Iterator[str]:
-    """The knowledge of restarted UAVs that a recorder in lock-step needs."""
-    for fault in options.scenario.faults or ():
-        if fault.kind == "restart" and fault.struck_uav is not None:
-            yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))
 
 
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
@@ -187,7 +169,10 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
-        arguments += _silences(options)
+        for fault in options.scenario.faults or ():
+            if fault.kind == "restart" and fault.struck_uav is not None:
+                window = map(str, fault.window_ns(0))
+                arguments += ["--silent", str(fault.struck_uav), *window]
     if options.backend == "mavlink":
         arguments += ["--draw", str(scenario_file)]
     chosen = {

@@ -172,13 +172,8 @@ def fly_and_judge(
 ) -> int:
     """Fly with one process per UAV and judge the bag; returns the exit code.
 
-    Args:
-        scenario: the scenario to fly.
-        parts: what flies, and where; without a bag the recording is temporary.
-        json: print the verdict as JSON.
-        picture: PNG to draw.
-        check: fly dry runs first, and refuse what they refuse; None: with flight controllers.
-        views: while it is flown; None: none.
+    Without a bag in `parts` the recording is temporary. `check` flies dry runs first, and refuses what they refuse;
+    None does so with flight controllers. `picture` is a PNG to draw.
     """
     bridged = parts.backend == "mavlink"
     if bridged:
@@ -192,8 +187,17 @@ def fly_and_judge(
         # After the dry runs from the positions of the file, those from the measured ones.
         _refuse_dry_runs(scenario)
         request = replace(request, objection=_objection)
-    if not request.leads:
-        return _show_part(_fly(request, views, json), json=json)
+    if not request.leads:  # the host with the recorder shows the verdict
+        flown = _fly(request, views, json)
+        for line in _losses(flown, leads=False):
+            console.say(line)
+        end = f"over after {flown.flight_s:.1f} s"
+        console.say(f"{end}; the verdict is on the host with the recorder")
+        if json:
+            facts = _fleet_facts(flown)
+            del facts["recorded"]
+            console.print_json({"fleet": facts})
+        return flown.exit_code
     with ExitStack() as stack:
         if request.bag is None:  # the verdict is read from a bag
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
@@ -265,17 +269,14 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
     }
 
 
-def _ends(flown: FleetResult) -> Iterator[str]:
-    """The processes that ended in flight, one line each."""
+def _losses(flown: FleetResult, *, leads: bool = True) -> Iterator[str]:
+    """The defects of the flight, and of its recording on the host that leads, one line each."""
     for name in flown.died:
         yield f"{name} ended before its time"
     for name in flown.killed:
         yield f"{name} was killed, as the scenario has it"
-
-
-def _losses(flown: FleetResult) -> Iterator[str]:
-    """The defects of the flight and its recording, one line each."""
-    yield from _ends(flown)
+    if not leads:
+        return
     recorded = flown.recorded
     if not recorded:
         yield "the recorder left no count of its messages: the bag may be cut"
@@ -313,15 +314,3 @@ def _judge(
         draw_flight(recording, picture)
     show_verdict(verdict, json=json, bag=kept, fleet=facts, picture=picture)
     return flown.exit_code or verdict.exit_code
-
-
-def _show_part(flown: FleetResult, *, json: bool) -> int:
-    """Show how a part of the fleet ended; the host with the recorder shows the verdict."""
-    for line in _ends(flown):
-        console.say(line)
-    console.say(f"over after {flown.flight_s:.1f} s; the verdict is on the host with the recorder")
-    if json:
-        facts = _fleet_facts(flown)
-        del facts["recorded"]
-        console.print_json({"fleet": facts})
-    return flown.exit_code

@@ -100,11 +100,7 @@ def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> N
 
 
 def _answer(service: str, domain: int | None, namespace: str) -> str:
-    """The answer of the leader.
-
-    Raises:
-        MissionError: no fleet with a mission is there, or it refuses.
-    """
+    """The answer of the leader; MissionError when no fleet with a mission is there, or it refuses."""
     number = ros.domain_number(domain)
     with _fleet_node(number, "mission", namespace) as node:
         from ptnsbc_nodes.fleet.fleet_node import LeaderClient
@@ -170,11 +166,11 @@ class Fault:
 
         if self.kind not in KINDS:
             raise InjectError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
-        given = {key: value for key, value in vars(self).items() if value is not None}
+        keys = {key: value for key, value in vars(self).items() if value is not None}
         if self.offset_m is not None:
-            given["offset_m"] = list(self.offset_m)
+            keys["offset_m"] = list(self.offset_m)
         try:
-            fault = FaultBlock.model_validate({**given, "at_s": 0.0})
+            fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
@@ -315,11 +311,7 @@ def _health(domain: int, namespace: str, names: list[str]) -> int:
 
 
 def _watched_domain(domain: int | None) -> int:
-    """The domain that is meant.
-
-    Raises:
-        NoFleetError: none is named, and this host flies no fleet, or several.
-    """
+    """The domain that is meant; NoFleetError when none is named, and this host flies no fleet, or several."""
     if domain is not None or os.environ.get("ROS_DOMAIN_ID"):
         return ros.domain_number(domain)
     from ptnsbc_nodes.runtime.environment import flying_domains
@@ -327,7 +319,6 @@ def _watched_domain(domain: int | None) -> int:
     flying = flying_domains()
     if len(flying) == 1:
         return flying[0]
-    seen = (
-        f"fleets fly in the domains {', '.join(map(str, flying))}" if flying else "no fleet flies"
-    )
+    domains = ", ".join(map(str, flying))
+    seen = f"fleets fly in the domains {domains}" if flying else "no fleet flies"
     raise NoFleetError(f"on this host {seen}: expected --domain N, as `ptnsbc fleet` prints it")

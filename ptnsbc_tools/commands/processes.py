@@ -57,15 +57,9 @@ def params(
 
     For `ros2 launch ptnsbc_bringup uav.launch.py params:=FILE`, or after --ros-args --params-file.
     """
-    from ptnsbc_io.files import replacing
     from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 
-    text = parameter_file(scenario_with(scenario, set_keys(settings)))
-    if out is None:
-        sys.stdout.write(text)
-        return
-    with replacing(out) as part:
-        part.write_text(text, encoding="utf-8")
+    _write(parameter_file(scenario_with(scenario, set_keys(settings))), out)
 
 
 def key(
@@ -103,7 +97,7 @@ def peers(
 ) -> None:
     """Write a profile that names every computer: no server, no multicast. All computers use the same file."""
     listed = [] if hosts_file is None else _hosts(hosts_file)
-    _write(dds_profiles.static_peers([*(hosts or ()), *listed], processes), output)
+    _write_profile(dds_profiles.static_peers([*(hosts or ()), *listed], processes), output)
 
 
 @network.command()
@@ -118,7 +112,7 @@ def server(
 ) -> None:
     """Write a profile for a discovery server: few packets, and computers may join and leave."""
     servers = [dds_profiles.server(address) for address in addresses]
-    _write(dds_profiles.discovery_client(servers, everything=everything), output)
+    _write_profile(dds_profiles.discovery_client(servers, everything=everything), output)
 
 
 @network.command()
@@ -160,12 +154,17 @@ def _hosts(file: Path) -> list[str]:
     return [host for line in lines if (host := line.partition("#")[0].strip())]
 
 
-def _write(profile: str, output: Path | None) -> None:
+def _write(text: str, output: Path | None) -> None:
     if output is None:
-        print(profile)
+        sys.stdout.write(text)
         return
     from ptnsbc_io.files import replacing
 
     with replacing(output) as part:
-        part.write_text(f"{profile}\n", encoding="utf-8")
-    console.say(f"{output}: give it to --network, or set PTNSBC_NETWORK to it")
+        part.write_text(text, encoding="utf-8")
+
+
+def _write_profile(profile: str, output: Path | None) -> None:
+    _write(f"{profile}\n", output)
+    if output is not None:
+        console.say(f"{output}: give it to --network, or set PTNSBC_NETWORK to it")

@@ -82,38 +82,33 @@ def _give(
     operation: EmergencyStop, domain: int, fleet: str, patience: float, *, ready: bool, kill: bool
 ) -> int:
     """Give the order on every path; returns the exit code."""
-    if not ready and operation.bridges and operation.local:
-        operation.begin()
-        done = operation.run(patience)
-        code = _report(operation)
-        if not kill:
-            with _middleware(domain, fleet) as node:
-                _have_recorded(node)
-        return code if done else _MISSING
+    local = not ready and bool(operation.bridges) and operation.local
+    code = 0
     if not ready:
         operation.begin()
-        operation.run(0.1)  # the bridges of this host need not wait for the middleware
+        # Where not all bridges are of this host, those that are need not wait for the middleware.
+        done = operation.run(patience if local else 0.1)
+    if local:
+        code = max(_report(operation), 0 if done else _MISSING)
+        if kill:
+            return code
     with _middleware(domain, fleet) as node:
-        operation.remote = node
-        if ready:
-            _wait_for_key(operation, node, kill=kill)
-            operation.begin()
-        else:
-            operation.discover(_DISCOVERY_S)
-        if not operation.bridges:
-            return _tell_leader(node, domain, kill=kill)
-        operation.run(patience)
-        code = _report(operation)
-        if not kill:
-            _have_recorded(node)
+        if not local:
+            operation.remote = node
+            if ready:
+                _wait_for_key(operation, node, kill=kill)
+                operation.begin()
+            else:
+                operation.discover(_DISCOVERY_S)
+            if not operation.bridges:
+                return _tell_leader(node, domain, kill=kill)
+            operation.run(patience)
+            code = _report(operation)
+        if not kill:  # the vehicles have their order; so the recording has the leg as well
+            refusal = node.leader.call("stop", _LEADER_S)
+            if refusal is not None:
+                console.say(f"the recording lacks the landing: {refusal}")
     return code
-
-
-def _have_recorded(node: LauncherNode) -> None:
-    """Have the leader announce the landing, so that the recording has the leg; the vehicles have their order."""
-    refusal = node.leader.call("stop", _LEADER_S)
-    if refusal is not None:
-        console.say(f"the recording lacks the landing: {refusal}")
 
 
 def _middleware(domain: int, fleet: str) -> LauncherNode:
