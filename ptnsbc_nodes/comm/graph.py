@@ -41,9 +41,7 @@ class Senders:
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
     others: tuple[int, ...] = ()  # all other UAVs, where the edges of any of them may be needed
-    peers: tuple[
-        int, ...
-    ] = ()  # UAVs whose state is needed besides: by the law, or to see which are there
+    peers: tuple[int, ...] = ()  # whose state is needed besides: by the law, or to see who is there
     several: SeveralParents | None = None  # the parents of a UAV with more than one
     every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
@@ -82,12 +80,16 @@ class CommunicationGraph:
         # A UAV may get another slot, and the edges of that slot; otherwise it only loses edges.
         reassigns = scenario.formation.has_open_slots or scenario.formation.vacancy == "close_up"
         others = [i for i in scenario.uav_ids if i != uav_id]
+        neighbours = scenario.topology.neighbours.get(uav_id, ())
+        peers = neighbours if scenario.law is not None else ()
+        if scenario.formation.reconfigures:
+            peers = self._others(uav_id)
         return Senders(
             parent=scenario.communication.parent(uav_id),
             leader=scenario.leader.id if uav_id in scenario.topology.pinned else None,
-            estimators=scenario.topology.neighbours.get(uav_id, ()),
+            estimators=neighbours,
             others=self._others(uav_id) if reassigns else (),
-            peers=self._peers(uav_id),
+            peers=peers,
             several=several_parents(scenario, uav_id),
             every_tick=scenario.formation.reconfigures,
             losses=message_loss(scenario, uav_id),
@@ -103,12 +105,6 @@ class CommunicationGraph:
     def of(self, scenario: Scenario) -> CommunicationGraph:
         """The graph of another scenario, flown with the same options."""
         return CommunicationGraph(scenario, self.options)
-
-    def _peers(self, uav_id: int) -> tuple[int, ...]:
-        if self._scenario.formation.reconfigures:
-            return self._others(uav_id)
-        flies_by_law = self._scenario.law is not None
-        return self._scenario.topology.neighbours.get(uav_id, ()) if flies_by_law else ()
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
         """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""

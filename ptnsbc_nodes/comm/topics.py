@@ -120,12 +120,12 @@ def wrench_setpoint(uav: int) -> Topic:
 
 def tick(uav: int) -> Topic:
     """Real time only: which messages a step used, and when (`step_log`)."""
-    return _note(uav, "tick", "std_msgs/msg/Int64MultiArray")
+    return Topic(f"/uav{uav}/tick", "std_msgs/msg/Int64MultiArray", Role.EVENT)
 
 
 def snapshot(uav: int) -> Topic:
     """Real time only: the state of the controller, once a second (`step_log`)."""
-    return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")._replace(rate="1 Hz")
+    return Topic(f"/uav{uav}/snapshot", "std_msgs/msg/Float64MultiArray", Role.EVENT, "1 Hz")
 
 
 def track(uav: int) -> Topic:
@@ -150,14 +150,8 @@ def robot_description(uav: int) -> Topic:
 
 def of_uav(uav: int) -> tuple[Topic, ...]:
     """Every topic of one UAV."""
-    return (
-        odom(uav),
-        near(uav),
-        formation_state(uav),
-        leader_estimate(uav),
-        velocity_setpoint(uav),
-        wrench_setpoint(uav),
-    )
+    between = formation_state(uav), leader_estimate(uav)
+    return (odom(uav), near(uav), *between, velocity_setpoint(uav), wrench_setpoint(uav))
 
 
 def notes(uav: int) -> tuple[Topic, ...]:
@@ -174,14 +168,12 @@ def recorded(
     with_stream: bool = False,
 ) -> tuple[Topic, ...]:
     """The topics that a recorder of these UAVs subscribes to; it makes /tf itself, out of odometry."""
-
-    def of_one(uav: int) -> tuple[Topic, ...]:
-        noted = () if lockstep else notes(uav)
-        return (*of_uav(uav), *noted, *((truth(uav),) if with_truth else ()))
-
-    own = tuple(topic for uav in uavs for topic in of_one(uav))
+    listed: list[Topic] = []
+    for uav in uavs:
+        listed += [*of_uav(uav), *(() if lockstep else notes(uav))]
+        listed += [truth(uav)] if with_truth else []
     decided = (*((SLOTS,) if with_slots else ()), *((TAKEN,) if with_stream else ()))
-    return (*own, EPOCH, *decided, DIAGNOSTICS, MARKERS, CLOCK)
+    return (*listed, EPOCH, *decided, DIAGNOSTICS, MARKERS, CLOCK)
 
 
 def in_bag(uavs: Iterable[int], **kinds: bool) -> tuple[Topic, ...]:
@@ -199,10 +191,6 @@ def message_class(topic: Topic) -> type[Any]:
     package, _, name = topic.type.split("/")
     kind: type[Any] = getattr(import_module(f"{package}.msg"), name)
     return kind
-
-
-def _note(uav: int, name: str, kind: str) -> Topic:
-    return Topic(f"/uav{uav}/{name}", kind, Role.EVENT)
 
 
 def _state(uav: int, name: str, kind: str) -> Topic:

@@ -160,13 +160,17 @@ class TakeOff:
             ended = child.exit_code is not None and not child.command.beside
             if ended and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
-            for name in set(child.command.reporters).intersection(self._node.lifecycle.refused):
-                if child.reports.running:
-                    raise FleetError(f"{name} refused to be activated, {child.log}\n{child.tail()}")
-                raise FleetError(  # it cannot have answered
-                    f"{name} of another fleet is in domain {self._node.domain}: expected another domain "
-                    "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
-                )
+        owners = {name: c for c in self._crew.children for name in c.command.reporters}
+        for name in self._node.lifecycle.refused:
+            owner, refused = owners.get(name), f"{name} refused to be activated"
+            if owner is None:
+                raise FleetError(refused)
+            if owner.reports.running:
+                raise FleetError(f"{refused}, {owner.log}\n{owner.tail()}")
+            raise FleetError(  # it cannot have answered
+                f"{name} of another fleet is in domain {self._node.domain}: expected another domain "
+                "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
+            )
         if time.monotonic() > deadline:
             late, children = self._missing(), self._crew.children
             tails = [c.tail() for c in children if late.keys() & set(c.command.reporters)]

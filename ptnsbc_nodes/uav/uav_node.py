@@ -19,7 +19,7 @@ from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.uav_flight import UavFlight
 from ptnsbc_nodes.uav.uav_status import UavStatus
-from ptnsbc_nodes.uav.uav_topics import LeaderSetpoints, Outbox, Subscriptions
+from ptnsbc_nodes.uav.uav_topics import Outbox, Subscriptions, follow_setpoints
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 
@@ -132,7 +132,7 @@ class UavNode:
         if scenario.formation.reconfigures:
             self.endpoints.shared.add(topics.EPOCH.name)
         if leads and scenario.takes_setpoints:
-            LeaderSetpoints(self.endpoints, edges.options.recorders, flight.epochs, self._clock)
+            follow_setpoints(self.endpoints, edges.options.recorders, flight.epochs, self._clock)
         if not leads and not (
             scenario.formation.reconfigures and flight.uav in scenario.leader.successors
         ):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from rclpy.node import Node
 
-from ptnsbc_core.types import Array
 from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
@@ -194,37 +193,22 @@ class Outbox:
             self._send_snapshot(self._snapshot.encode(sequence, controller))
 
 
-class _TakenSetpoint(NamedTuple):
-    """A setpoint that the leader can follow."""
-
-    stamp_ns: int  # from when
-    odometry: Array  # (13,)
-    scenario: Scenario  # with it
-
-
-class LeaderSetpoints:
-    """Hears setpoints, and has the leader follow those that it can follow.
+def follow_setpoints(endpoints: Endpoints, readers: int, epochs: Epochs, clock: UavClock) -> None:
+    """Hear setpoints, and have the leader follow those that it can follow.
 
     A setpoint counts from the tick after its arrival. In which tick that is decides the program that sends it; the
-    leader tells it on /formation/setpoint_taken, by which the bag is judged and run again.
+    leader tells it on /formation/setpoint_taken, which has so many `readers`: by it the bag is judged and run again.
     """
+    template = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
+    tell = endpoints.publisher(topics.TAKEN, readers)
+    decode = in_order(OdometryDecoder(WORLD_FRAME, WORLD_FRAME), RealTimeStamps(clock.next_ns))
 
-    def __init__(self, endpoints: Endpoints, readers: int, epochs: Epochs, clock: UavClock) -> None:
-        """`readers`: of the setpoints that are taken."""
-        self._epochs = epochs
-        self._next_ns = clock.next_ns
-        self._template = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
-        self._tell = endpoints.publisher(topics.TAKEN, readers)
-        stamps = RealTimeStamps(clock.next_ns)
-        self._decode = in_order(OdometryDecoder(WORLD_FRAME, WORLD_FRAME), stamps)
-        endpoints.listen(topics.SETPOINT, self._planned, self._take, required=False)
+    def plan(data: bytes) -> tuple[Stamped, Scenario]:
+        setpoint = Stamped(clock.next_ns(), decode(data).values)
+        return setpoint, epochs.following(*setpoint)
 
-    def _planned(self, data: bytes) -> _TakenSetpoint:
-        message: Stamped = self._decode(data)
-        now_ns = self._next_ns()
-        scenario = self._epochs.following(now_ns, message.values)
-        return _TakenSetpoint(now_ns, message.values, scenario)
+    def take(planned: tuple[Stamped, Scenario]) -> None:
+        setpoint, epochs.scenario = planned
+        tell(template.encode(*setpoint))
 
-    def _take(self, taken: _TakenSetpoint) -> None:
-        self._epochs.scenario = taken.scenario
-        self._tell(self._template.encode(taken.stamp_ns, taken.odometry))
+    endpoints.listen(topics.SETPOINT, plan, take, required=False)
