@@ -39,17 +39,12 @@ def body_frame(uav_id: int, fleet: str = "") -> str:
 
 
 class AgentMessages:
-    """Byte templates of one UAV; each message carries the stamp of the odometry that it was computed from.
-
-    Args:
-        uav_id: Id of the UAV.
-        fleet: Namespace of its fleet, empty for the root.
-        faults: Changes a state before it is sent, as the injected faults say; None changes nothing.
-    """
+    """Byte templates of one UAV; each message carries the stamp of the odometry that it was computed from."""
 
     def __init__(
         self, uav_id: int, fleet: str = "", faults: Callable[[Stamped], Stamped] | None = None
     ) -> None:
+        """`fleet`: its namespace; `faults`: changes a state before it is sent, as the injected faults say."""
         self._faults = faults
         body = body_frame(uav_id, fleet)
         self._state = OdometryTemplate(WORLD_FRAME, body)

@@ -148,12 +148,7 @@ def encode_slots(decision: Decision) -> bytes:
 
 
 def decode_slots(data: bytes, scenario: Scenario) -> Decision:
-    """The decision in a message.
-
-    Raises:
-        WireError: no std_msgs/Header.
-        SlotsError: its text does not give every UAV of the scenario a slot of its own.
-    """
+    """The decision in a message; SlotsError when it does not give every UAV of the scenario a slot of its own."""
     t0_ns, text = decode_header(data)
     slots: dict[int, int] = {}
     for pair in text.split():

@@ -30,14 +30,10 @@ class Leg(NamedTuple):
 
 
 class Epochs:
-    """The announced legs, in the order of their announcement, and what was said of the legs of a mission.
-
-    Attributes:
-        scenario: the flight, as its mission goes on after what was said.
-    """
+    """The announced legs, in the order of their announcement, and what was said of the legs of a mission."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+        self.scenario = scenario  # as its mission goes on after what was said
         self._legs: list[Leg] = []
         self._landing_ns = scenario.landing_ns
 
@@ -78,11 +74,7 @@ class Epochs:
         return True
 
     def following(self, now_ns: int, odometry: Array) -> Scenario:
-        """The scenario whose leader follows one more setpoint (13,) from `now_ns` on.
-
-        Raises:
-            EpochError: the formation is not flown, or the leader cannot follow the setpoint.
-        """
+        """The scenario whose leader follows one more setpoint (13,) from `now_ns` on; EpochError if it cannot."""
         leg = self.at(now_ns)
         if leg is None or leg.mode != MODE_FORMATION:
             raise EpochError("setpoint: expected one while the formation is flown")

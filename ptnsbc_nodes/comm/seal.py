@@ -40,20 +40,13 @@ class SealError(PtnsbcError):
 
 
 class Seal:
-    """Closes and opens messages with the key of the fleet.
-
-    Args:
-        key: secret, `KEY_BYTES` long.
-        required: whether a message without a seal is refused; an operator's program takes both.
-        now_ns: the clock of all computers of the fleet.
-    """
+    """Closes and opens messages with the key of the fleet, `KEY_BYTES` long, by the clock of all its computers."""
 
     def __init__(
         self, key: bytes, *, required: bool = True, now_ns: Callable[[], int] = time.time_ns
     ) -> None:
-        self._key = key
-        self._required = required
-        self._now_ns = now_ns
+        """`required`: a message without a seal is refused; an operator's program takes both."""
+        self._key, self._required, self._now_ns = key, required, now_ns
 
     def closer(self, topic: Topic) -> Callable[[bytes], bytes]:
         """The function that seals the messages of one topic."""
@@ -117,11 +110,7 @@ def key_file() -> Path:
 
 
 def seal_of(scenario: Scenario) -> Seal | None:
-    """The seal that a scenario requires; None when it requires none.
-
-    Raises:
-        PtnsbcError: the scenario says `security: signed`, and there is no key that can be used.
-    """
+    """The seal that a scenario requires; None when it requires none, PtnsbcError when there is no usable key."""
     return required_seal() if scenario.security == "signed" else None
 
 
@@ -140,11 +129,7 @@ def operators_seal() -> Seal | None:
 
 
 def new_key(path: Path) -> None:
-    """Write a new key that only its owner can read.
-
-    Raises:
-        SealError: the file exists, or cannot be written.
-    """
+    """Write a new key that only its owner can read; SealError when the file exists, or cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

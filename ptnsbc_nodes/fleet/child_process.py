@@ -18,7 +18,7 @@ from ptnsbc_nodes.runtime.launcher import REPORT, Reports
 from ptnsbc_nodes.runtime.signals import signals_blocked
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
+    from ptnsbc_nodes.fleet.fleet_node import LifecycleManager
 
 _TAIL_LINES = 12
 _USER_ERROR = 2  # the exit code of a process that ended with a message to the user

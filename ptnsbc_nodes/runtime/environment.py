@@ -171,11 +171,7 @@ def reserved_domain() -> Iterator[int]:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """A domain that no other fleet and no test of ROS takes inside the `with`, whatever ROS_DOMAIN_ID says.
-
-    Raises:
-        DomainError: All of them are in use.
-    """
+    """A domain that no other fleet and no test of ROS takes inside the `with`, whatever ROS_DOMAIN_ID says."""
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         # The kernel frees the port however this process ends.
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:

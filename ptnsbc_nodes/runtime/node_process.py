@@ -99,11 +99,7 @@ def ros_errors() -> Iterator[None]:
 
 
 def without_ros(arguments: Sequence[str]) -> list[str]:
-    """The arguments of the program itself.
-
-    Raises:
-        RosArgumentsError: ROS does not understand one of the others.
-    """
+    """The arguments of the program itself; RosArgumentsError when ROS does not understand one of the others."""
     with ros_errors():
         own: list[str] = remove_ros_args(["program", *arguments])[1:]
     return own

@@ -27,11 +27,7 @@ _REPORT_GAP_S = 1.0  # the sim reports five times a second
 
 
 class LockstepWatchdog:
-    """Notices that a flight does not advance.
-
-    Args:
-        send: Publisher of a serialised DiagnosticArray.
-    """
+    """Notices that a flight does not advance."""
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         self._send = send

@@ -33,7 +33,6 @@ from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 from ptnsbc_sim.plugins.uav_plugins import Heard
-from ptnsbc_sim.scenario import SeveralParents
 from ptnsbc_sim.scenario.mission.fault_rules import MOST_DELAY_S, FaultBlock
 
 NO_CUTOFF_NS = 2**63 - 1
@@ -146,7 +145,11 @@ class Inbox:
         estimates = [(i, self.estimate_queues[i]) for i in senders.estimators]
         self._used = [*states, *estimates]
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
-        self._parents = None if senders.several is None else _ParentMessages(senders.several)
+        parents = 0 if senders.several is None else len(senders.several.ids)
+        self._parent_states, self._parent_ages = (
+            np.zeros((parents, ODOMETRY_SIZE)),
+            np.zeros(parents),
+        )
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
         self._await()
@@ -231,10 +234,18 @@ class Inbox:
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
-        if self._parents is not None:
-            queues, mean = self.state_queues, vector[PARENT:LEADER]
-            newest = [queues[i].before(cutoff_ns, now_ns) for i in self._parents.several.ids]
-            vector[PARENT_AGE] = self._parents.mean(newest, now_ns, mean)
+        several = self.senders.several
+        if several is not None:  # their messages as one
+            states, ages = self._parent_states, self._parent_ages
+            for k, uav_id in enumerate(several.ids):
+                message = self.state_queues[uav_id].before(cutoff_ns, now_ns)
+                ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
+                if message is not None:
+                    states[k] = message.values
+            mean, stale_s = vector[PARENT:LEADER], several.stale_s
+            vector[PARENT_AGE] = mean_parent(
+                states, ages, several.weights, several.shifts, stale_s, mean
+            )
         return inputs
 
     def _rows(self) -> Iterator[tuple[MessageQueue, Array, int]]:
@@ -247,29 +258,6 @@ class Inbox:
         estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
         for k, uav_id in enumerate(senders.estimators):
             yield self.estimate_queues[uav_id], estimates[k], inputs.ages + k
-
-
-class _ParentMessages:
-    """The messages of several parents as one."""
-
-    def __init__(self, several: SeveralParents) -> None:
-        self.several = several
-        count = len(several.ids)
-        self._states = np.zeros((count, ODOMETRY_SIZE))
-        self._ages = np.zeros(count)
-
-    def mean(self, newest: Sequence[Stamped | None], now_ns: int, mean: Array) -> float:
-        """Write the mean of the newest messages into `mean` (13,); returns its age [s]."""
-        several = self.several
-        for k, message in enumerate(newest):
-            self._ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
-            if message is not None:
-                self._states[k] = message.values
-        return float(
-            mean_parent(
-                self._states, self._ages, several.weights, several.shifts, several.stale_s, mean
-            )
-        )
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:

@@ -112,10 +112,7 @@ class RoleHolder:
     def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> RoleChange | None:
         """Determine the members at a step; returns the new role of the UAV if it changes.
 
-        Args:
-            now_ns: the instant of the step [ns].
-            first_t0_ns: the first epoch [ns].
-            ages_s: ages [s] of the newest states that were received, by sender.
+        `ages_s` [s] are those of the newest states that were received, by sender.
         """
         scenario = self._formations.scenario
         if self._began_ns is None:

@@ -11,14 +11,14 @@ from rclpy.node import Node
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg
-from ptnsbc_nodes.comm.diagnostics import INACTIVE
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, SAFETY, StatusPublisher, assess, readiness
 from ptnsbc_nodes.comm.drawing import publish_description
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.uav_flight import UavFlight
-from ptnsbc_nodes.uav.uav_status import UavStatus
+from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
 from ptnsbc_nodes.uav.uav_topics import Outbox, Subscriptions, follow_setpoints
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
@@ -57,7 +57,9 @@ class UavNode:
         if self.flight.decided is not None and uav_id == scenario.leader.id:
             self._heard.decide_slots(edges)
         publish_description(self.endpoints, scenario, uav_id)
-        self._status = UavStatus(self.endpoints, node, self.flight, self._clock, edges.options)
+        name, recorders = f"uav{uav_id}: planner", edges.options.recorders
+        self._status = StatusPublisher(node, self.endpoints, name, recorders)
+        self._reported_missed = 0
         self._leg_services = self._services(edges)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
@@ -173,5 +175,38 @@ class UavNode:
 
     def _report(self, stamp_ns: int) -> None:
         """Publish the status at an instant of the flight; -1 is outside of the flight."""
-        observed = stamp_ns < 0 or not self._clock.lockstep
-        self._status.publish(stamp_ns, self.waiting_for() if observed else [], self._active)
+        flight, clock, controller = self.flight, self._clock, self.flight.controller
+        missing = self.waiting_for() if stamp_ns < 0 or not clock.lockstep else []
+        flying, leg = self.begun, flight.leg(stamp_ns)
+        missed = clock.pace.missed - self._reported_missed
+        self._reported_missed = clock.pace.missed
+        silent: list[int] = []
+        if flying and not clock.lockstep:
+            stale_ns = round(controller.config.stale_s * 1e9)
+            silent = flight.inbox.silent_estimates(stamp_ns, stale_ns)
+        sight = PlannerSight(
+            holding=flying and controller.counters.holding,
+            inactive=not self._active,
+            odometry_stale=not clock.lockstep and controller.odometry_stale(stamp_ns),
+            slots_fault=flight.slots_fault(leg),
+            deadlock=flying and controller.counters.deadlock,
+            near_stale=flying and controller.near_stale,
+            silent_estimates=" ".join(f"uav{i}" for i in silent),
+            clock_offset=clock.offset,
+            intruder=self.endpoints.warning(),
+            missed_ticks=missed,
+            waiting_for=", ".join(missing),
+            flying=flying,
+        )
+        safety = assess(planner_concerns(sight))
+        values = {
+            **readiness(missing),
+            "mode": leg.name if leg else "waiting",
+            SAFETY: safety.state.text,
+            "missed_ticks": str(clock.pace.missed),
+            **controller.counters.values(),
+            **self.endpoints.refusals.values(),
+        }
+        if flight.faults.injected:
+            values["injected"] = "; ".join(flight.faults.injected)
+        self._status.publish(stamp_ns, safety.level, safety.reason, values)

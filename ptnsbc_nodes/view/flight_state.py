@@ -320,11 +320,7 @@ def _rounded(number: float | None) -> float | None:
 
 
 def scenario_of(text: str, name: str) -> Scenario:
-    """The scenario that a UAV flies, from its parameters `scenario_text` and `scenario`.
-
-    Raises:
-        PtnsbcError: both are empty, or no scenario.
-    """
+    """The scenario that a UAV flies, from its parameters `scenario_text` and `scenario`."""
     if name in available():
         return load_scenario(name)
     if not text and not name:

@@ -114,7 +114,7 @@ LAST = {
     "sim": "ptnsbc_nodes.sim.sim_node",
     "bridge": "ptnsbc_nodes.bridge.process",
     "recorder": "ptnsbc_nodes.recording.fleet_recorder",
-    "coordinator": "ptnsbc_nodes.fleet.lifecycle_manager",
+    "coordinator": "ptnsbc_nodes.fleet.fleet_node",
     "fleet": "ptnsbc_nodes.fleet.supervisor",
     "ptnsbc fleet": "ptnsbc_nodes.fleet.supervisor",
 }
