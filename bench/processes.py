@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -213,10 +214,16 @@ class BenchError(PtnsbcError):
 def bare_node(hz: float, seconds: float) -> Usage:
     """Usage of a node that publishes one status `hz` times a second, and does nothing else."""
     words = [sys.executable, "-m", "bench.processes", "node", f"{hz:g}"]
-    with own_domain(), Sampler() as sampler, subprocess.Popen(words) as process:
-        time.sleep(2.0)  # it has started
+    with (
+        own_domain(),
+        Sampler() as sampler,
+        subprocess.Popen(words, stdout=subprocess.PIPE) as process,
+    ):
+        if process.stdout is None or not process.stdout.readline():  # the node has begun
+            raise BenchError("the bare node ended before it began")
         sampler.begin()
-        time.sleep(seconds)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
         process.kill()
     return sampler.usage()["node"]
 
@@ -226,6 +233,7 @@ def _serve(hz: float) -> None:
     node = rclpy.create_node("bare", start_parameter_services=False, enable_rosout=False)
     publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
     node.create_timer(1.0 / hz, lambda: publisher.publish(DiagnosticArray()))
+    print("begun", flush=True)
     while rclpy.ok():
         rclpy.spin_once(node, timeout_sec=0.1)
 

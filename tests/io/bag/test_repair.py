@@ -238,8 +238,7 @@ def test_kill_at_any_moment(tmp_path):
     killed = list(killed_recordings(6, 3, tmp_path))
     assert len(killed) == 6
     assert all(kill.missing == 0 and kill.messages > 100 for kill in killed)
-    # Loss is a promise of time: checked with room for a machine that is busy.
-    assert min(kill.loss_s for kill in killed) < 1.0
+    assert max(kill.loss_s for kill in killed) < 1.0
 
 
 HEADER = "std_msgs/msg/Header"
