@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 import threading
 import time
 from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
+from subprocess import PIPE, Popen, TimeoutExpired
 from typing import NamedTuple
 
 import rclpy
@@ -135,13 +135,9 @@ def _stat(pid: int) -> list[str]:
 
 def _children() -> list[int]:
     found = []
-    for entry in os.listdir("/proc"):
-        if entry.isdecimal():
-            try:
-                fields = _stat(int(entry))
-            except OSError:
-                continue
-            if int(fields[1]) == os.getpid():
+    for entry in filter(str.isdecimal, os.listdir("/proc")):
+        with suppress(OSError):  # it has just ended
+            if int(_stat(int(entry))[1]) == os.getpid():
                 found.append(int(entry))
     return found
 
@@ -214,15 +210,11 @@ class BenchError(PtnsbcError):
 def bare_node(hz: float, seconds: float) -> Usage:
     """Usage of a node that publishes one status `hz` times a second, and does nothing else."""
     words = [sys.executable, "-m", "bench.processes", "node", f"{hz:g}"]
-    with (
-        own_domain(),
-        Sampler() as sampler,
-        subprocess.Popen(words, stdout=subprocess.PIPE) as process,
-    ):
-        if process.stdout is None or not process.stdout.readline():  # the node has begun
-            raise BenchError("the bare node ended before it began")
+    with own_domain(), Sampler() as sampler, Popen(words, stdout=PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # the node has begun
         sampler.begin()
-        with suppress(subprocess.TimeoutExpired):
+        with suppress(TimeoutExpired):
             process.wait(seconds)
         process.kill()
     return sampler.usage()["node"]
