@@ -16,8 +16,7 @@ from ptnsbc_nodes.comm.door import LockstepStamps, RealTimeStamps
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.uav_controller import Tick
-from ptnsbc_nodes.uav.uav_flight import UavFlight
+from ptnsbc_nodes.uav.uav_controller import Tick, UavFlight
 from ptnsbc_sim.counters import status_every
 from ptnsbc_sim.scenario import Scenario
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import zip_longest
 from typing import Any
 
 from rclpy.node import Node
@@ -23,14 +24,11 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG
 from ptnsbc_nodes.uav.clocks import LEAD_NS, UavClock
-from ptnsbc_nodes.uav.uav_controller import UavController
-from ptnsbc_nodes.uav.uav_flight import UavFlight
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_nodes.uav.uav_controller import UavController, UavFlight
 from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.mission.legs import (
     CANCEL,
     ScheduledLeg,
-    Word,
     leg_names,
     utc_time,
     word_text,
@@ -192,15 +190,21 @@ class LegServices:
             return False, f"{name} is flown: expected the formation, which flies the mission"
         t0_ns = now_ns + LEAD_NS
         word = self._flight.epochs.word(t0_ns, number)
-        refusal = _cannot_fly(scenario, word)
-        if refusal:
-            return False, refusal
+        try:
+            flown = scenario.with_words((*scenario.words, word))
+        except PtnsbcError as error:
+            return False, str(error)
+        legs = [leg for leg in flown.legs if leg.begin_s >= word.at_s]  # from where it is by then
+        for leg_flown, following in zip_longest(legs, legs[1:]):
+            until_s = leg_flown.end_s if following is None else following.begin_s
+            room = leg_room(flown, leg_flown, until_s)
+            if room.advice:
+                return False, f"leg {room.found}: expected {room.limit}; {room.advice}"
         text = word_text(number)
         if not self._flight.epochs.announce(t0_ns, text):
             return False, "another leg was begun just now: try again"
         self._publish(HeaderTemplate(text).encode(t0_ns))
-        said = scenario.with_words((*scenario.words, word)).legs
-        begun = next(one for one in said if one.begin_s >= word.at_s)
+        begun = legs[0]
         return True, f"leg {begun.name} from {begun.begin_s:.2f} s, due at {begun.due_s:.2f} s"
 
     def _announce(self, name: str) -> str:
@@ -213,19 +217,3 @@ class LegServices:
         self._flight.epochs.announce(t0_ns, leg)
         self._publish(HeaderTemplate(leg).encode(t0_ns))
         return f"leg {leg} from {t0_ns * 1e-9:.3f} s"
-
-
-def _cannot_fly(scenario: Scenario, word: Word) -> str:
-    """The reason why legs that a word begins cannot be flown from where the formation is then; empty when they can."""
-    try:
-        flown = scenario.with_words((*scenario.words, word))
-    except PtnsbcError as error:
-        return str(error)
-    legs = flown.legs
-    for index, one in enumerate(legs):
-        until_s = legs[index + 1].begin_s if index + 1 < len(legs) else one.end_s
-        if one.begin_s >= word.at_s:
-            room = leg_room(flown, one, until_s)
-            if room.advice:
-                return f"leg {room.found}: expected {room.limit}; {room.advice}"
-    return ""

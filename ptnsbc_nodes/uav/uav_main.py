@@ -58,15 +58,10 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
         stack.enter_context(processes.ros_context(argv))
         nodes: list[ManagedNode] = []
         for uav in arguments.uav:
-            given = {
-                "scenario": arguments.scenario,
-                "uav": uav,
-                "lockstep": arguments.lockstep,
-                "recorded": arguments.recorded,
-                "bridged": arguments.bridged,
-            }
+            names = ("scenario", "lockstep", "recorded", "bridged")
+            given = {name: getattr(arguments, name) for name in names}
             namespace = arguments.fleet + ("" if uav is None else f"/uav{uav}")
-            overrides = parameters.overrides(given)
+            overrides = parameters.overrides({**given, "uav": uav})
             made = processes.ros_node(
                 "controller", namespace, make=ManagedNode, parameters=overrides
             )

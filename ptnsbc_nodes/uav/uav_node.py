@@ -17,7 +17,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.uav.clocks import LockstepClock, RealTimeClock, UavClock
 from ptnsbc_nodes.uav.leg_services import LegServices
-from ptnsbc_nodes.uav.uav_flight import UavFlight
+from ptnsbc_nodes.uav.uav_controller import UavFlight
 from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
 from ptnsbc_nodes.uav.uav_topics import Outbox, Subscriptions, follow_setpoints
 from ptnsbc_sim.counters import STATUS_HZ

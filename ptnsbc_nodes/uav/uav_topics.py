@@ -27,7 +27,7 @@ from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, lim
 from ptnsbc_nodes.uav.clocks import UavClock
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, MessageQueue
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
-from ptnsbc_nodes.uav.uav_flight import FlownStep, SlotDecider, UavFlight
+from ptnsbc_nodes.uav.uav_controller import FlownStep, SlotDecider, UavFlight
 from ptnsbc_sim.scenario import Scenario
 
 T = TypeVar("T")

@@ -19,8 +19,8 @@ from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints, fleet_namespace
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.fleet import lifecycle_manager as manager_module
-from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
+from ptnsbc_nodes.fleet import fleet_node as manager_module
+from ptnsbc_nodes.fleet.fleet_node import LifecycleManager
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import load_scenario
@@ -202,7 +202,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     make, destroy = fleet.create_client, fleet.destroy_client
     monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
     monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
-    monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
+    monkeypatch.setattr(manager_module, "_TRANSITION_S", 0.05)
     manager = manager_of(fleet)
     take_to_active(ros, manager, node)
     manager._active.add("uav3")  # as it says itself on /diagnostics
@@ -225,7 +225,7 @@ def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monke
 
         monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
         monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
-        monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
+        monkeypatch.setattr(manager_module, "_TRANSITION_S", 0.05)
     manager = manager_of(fleet)
     manager.held.add("uav3")
     manager.manage("uav3", "/uav3/controller")

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 import pytest
 
 from ptnsbc_core.curves.trajectory import reference_positions
-from ptnsbc_core.types import MODE_FORMATION
+from ptnsbc_core.types import MODE_FORMATION, MODE_HOLD
 from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.comm.announcements import Decision
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions, Senders
+from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.uav_controller import RoleHolder, StepTime, UavController
-from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_nodes.uav.step_log import sources, used_by
+from ptnsbc_nodes.uav.uav_controller import (
+    RoleHolder,
+    SlotDecider,
+    StepTime,
+    UavController,
+    UavFlight,
+    at_epoch,
+    step_time,
+)
+from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.world import World
 
 SECOND_NS = 1_000_000_000
@@ -110,3 +123,201 @@ def test_a_leader_whose_process_stood_still_knows_that_it_was_lost(pause_s, lead
     assert role.leads
     role.look(99 * ROLE_DT_NS + round(pause_s * 1e9), 0, FRESH)
     assert role.leads is leads
+
+
+OPEN = {"formation.assignment": "optimal", "formation.task": "relative_position"}
+BASE = load_scenario("paper_5_free", OPEN)
+LEVEL = [{"id": uav, "position_m": BASE.uav(uav).position.tolist()} for uav in BASE.uav_ids]
+SCENARIO = load_scenario("paper_5_free", {**OPEN, "uavs": LEVEL})
+EDGES = CommunicationGraph(SCENARIO, FlightOptions())
+FIRST = {1: 1, 2: 2, 3: 3, 4: 4, 5: 5}
+SECOND = {1: 3, 2: 5, 3: 4, 4: 1, 5: 2}
+
+
+def odometry(at: np.ndarray, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    return np.array([*at, 0.0, 0.0, 0.0, 1.0, *velocity, 0.0, 0.0, 0.0])
+
+
+def new_uav(uav: int) -> UavFlight:
+    """One UAV as its process flies it, without ROS around it."""
+    return UavFlight(SCENARIO, uav, EDGES)
+
+
+def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
+    one = new_uav(5)
+    assert EDGES.senders(5).heard_states == (1, 2, 3, 4)
+    inbox = one.controller.inbox
+    assert set(inbox.state_queues) == set(inbox.estimate_queues) == {1, 2, 3, 4}
+    assert one.controller.inbox.senders.states == (1, 4)
+    epochs = Epochs(SCENARIO)
+    epochs.announce(0, "form")
+    one.decided.keep(Decision(0, SECOND))
+    assert one.take_slot(epochs.at(0))
+    assert one.controller.inbox.senders.states == (4,)  # slot 2 has the leader as parent: UAV 4
+    assert one.controller.inbox.senders.estimators == (1,)  # of slot 3
+    held = agent_config(with_slots(SCENARIO, SECOND), 5)
+    np.testing.assert_equal(tuple(one.controller.config), tuple(held))
+    assert sources(one.controller.inbox.senders)[-1] == "slots"
+    used = used_by(one.controller, 0, NO_CUTOFF_NS)[-1]
+    assert used is not None
+    assert (used.stamp_ns, used.values.tolist()) == (0, [3, 5, 4, 1, 2])
+
+
+def test_fixed_slots_hear_nobody_else() -> None:
+    fixed = load_scenario("paper_5_free")
+    senders = CommunicationGraph(fixed, FlightOptions()).senders(5)
+    assert (senders.others, senders.heard_states, senders.heard_estimators) == ((), (1, 4), (4,))
+    assert "slots" not in sources(senders)
+
+
+def test_a_leg_without_a_decision_is_not_flown_and_says_so() -> None:
+    one, epochs = new_uav(3), Epochs(SCENARIO)
+    assert one.take_slot(epochs.at(0))  # no leg yet
+    epochs.announce(2_000_000_000, "form")
+    leg = epochs.at(2_000_000_000)
+    assert not one.take_slot(leg)
+    assert one.slots_fault(leg) == ("holding: no slots of the epoch at 2.000 s on /formation/slots")
+    one.decided.keep(Decision(1_000_000_000, FIRST))  # of another epoch
+    assert one.slots_fault(leg)
+    one.decided.keep(Decision(2_000_000_000, SECOND))
+    assert one.take_slot(leg)
+    assert one.slots_fault(leg) == ""
+    epochs.announce(3_000_000_000, "hold")
+    taken = one.controller.inbox.senders
+    assert one.take_slot(epochs.at(3_000_000_000))  # keeps its slot
+    assert one.controller.inbox.senders is taken
+
+
+def test_limits_of_the_vehicle_outlive_the_slot() -> None:
+    one, epochs = new_uav(3), Epochs(SCENARIO)
+    epochs.announce(0, "form")
+    filtered = one.controller.config.filter._replace(max_speed=1.25)
+    one.controller.config = one.controller.config._replace(filter=filtered)
+    one.decided.keep(Decision(0, SECOND))
+    one.take_slot(epochs.at(0))
+    assert one.controller.config.filter == filtered
+
+
+def test_the_decision_waits_for_the_odometry_of_all() -> None:
+    said: list[Decision] = []
+    decider = SlotDecider(SCENARIO, said.append)
+    decider.decide(7)
+    for uav in SCENARIO.uav_ids:
+        assert said == []
+        at = SCENARIO.uav(SECOND[uav]).position
+        decider.on_odometry(uav, Stamped(0, odometry(at)))
+    assert said == [Decision(7, SECOND)]
+    decider.on_odometry(1, Stamped(1, odometry(np.zeros(3))))
+    assert len(said) == 1  # decided once
+    decider.decide(8)
+    assert [one.t0_ns for one in said] == [7, 8]
+
+
+def test_a_later_decision_takes_the_places_of_its_time() -> None:
+    """The shape has turned by 1.2 rad since the first epoch."""
+    turn = {"at_s": 6.0, "over_s": 2.0, "rotation_rad": 1.2}
+    changes = {"formation.task": "relative_position", "formation.changes": [turn]}
+    scenario = load_scenario("paper_5_free", {**changes, "formation.assignment": "optimal"})
+    said: list[Decision] = []
+    decider = SlotDecider(scenario, said.append)
+    starts = {uav: scenario.offset(uav) for uav in scenario.uav_ids}
+    for uav, place in starts.items():
+        decider.on_odometry(uav, Stamped(0, odometry(place)))
+    for t0_s in (3, 11):
+        decider.decide(round(t0_s * 1e9))
+    assert said[0].slots == {uav: uav for uav in scenario.uav_ids}
+    cosine, sine = math.cos(1.2), math.sin(1.2)
+    turned = {
+        uav: [cosine * x - sine * y, sine * x + cosine * y, z]
+        for uav, (x, y, z) in scenario.formation.offsets_m.items()
+    }
+    there = load_scenario("paper_5_free", {"formation.offsets_m": turned})
+    assert said[1].slots == optimal_slots(there, starts) != said[0].slots
+
+
+def test_odometry_that_is_missing_or_late_is_unknown() -> None:
+    decider = SlotDecider(SCENARIO, lambda decision: None)
+    for uav in (1, 2, 3):
+        decider.on_odometry(uav, Stamped(100 * uav, odometry(np.zeros(3))))
+    assert decider.unknown(200) == [1, 4, 5]
+
+
+def test_positions_are_those_at_the_epoch() -> None:
+    """Half a second at 2 m/s forwards, with the nose to the north."""
+    north = odometry(np.array([1.0, 2.0, 3.0]), (2.0, 0.0, 0.5))
+    north[3:7] = 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)
+    found = at_epoch(Stamped(1_000_000_000, north), 1_500_000_000)
+    np.testing.assert_allclose(found, [1.0, 3.0, 3.25], atol=1e-12)
+    np.testing.assert_array_equal(at_epoch(Stamped(5, north), 5), north[:3])
+    np.testing.assert_array_equal(at_epoch(Stamped(9, north), 5), north[:3])  # of after the epoch
+
+
+def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0) -> np.ndarray:
+    """Positions (T, 5, 3) of UAVs that begin a leg with these slots at each epoch [ns].
+
+    UAV 3 hears of each decision `late_ns` after its epoch.
+    """
+    world, period_ns = World(SCENARIO), SCENARIO.timing.dt_ns
+    uavs = {uav: new_uav(uav) for uav in world.ids}
+    epochs = Epochs(SCENARIO)
+    for t0_ns, _ in slots:
+        epochs.announce(t0_ns, "form")
+    sent: dict[int, tuple[Stamped, Stamped]] = {}
+    places = np.empty((ticks, len(uavs), 3))
+    for tick in range(ticks):
+        now_ns = tick * period_ns
+        leg, wrenches, now = epochs.at(now_ns), {}, {}
+        for t0_ns, decision in slots:
+            for uav, one in uavs.items():
+                if now_ns >= t0_ns + (late_ns if uav == 3 else 0):
+                    one.decided.keep(Decision(t0_ns, decision))
+        for row, (uav, one) in enumerate(uavs.items()):
+            controller = one.controller
+            own = Stamped(now_ns, world.odometry(uav).copy())
+            places[tick, row] = own.values[:3]
+            controller.inbox.own, controller.inbox.near = own, Stamped(now_ns, np.zeros((0, 7)))
+            for other, (state, estimate) in sent.items():
+                if other != uav:
+                    controller.inbox.on_state(other, state)
+                    controller.inbox.on_estimate(other, estimate)
+            at = step_time(now_ns, period_ns, leg, 0)
+            if not one.take_slot(leg):
+                at = at._replace(mode=MODE_HOLD)
+            out = controller.step(at, NO_CUTOFF_NS)
+            told = own.values.copy()
+            told[7:10] = out.reported
+            now[uav] = Stamped(now_ns, told), Stamped(now_ns, out.leader_estimate.copy())
+            wrenches[uav] = out.wrench.copy()
+        sent = now
+        world.step(wrenches)
+    return places
+
+
+def errors(places: np.ndarray, slots: dict[int, int], first: int) -> np.ndarray:
+    """Distance (T, 5) [m] from the places of these slots from a tick on."""
+    held = with_slots(SCENARIO, slots)
+    found = places[first:]
+    leader = list(held.uav_ids).index(held.leader.id)
+    goal = found[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
+    times = np.arange(first, first + len(found)) * 0.01
+    goal[:, leader] = reference_positions(leader_trajectory(held), times)
+    return np.linalg.norm(found - goal, axis=2)
+
+
+def test_a_later_leg_decides_anew() -> None:
+    """Another leader, other parents, and a formation again at the deadline."""
+    t0_s = 6.0
+    places = flown([(0, FIRST), (round(t0_s * 1e9), SECOND)], 1250)
+    assert errors(places, FIRST, 500)[:100].max() < 0.02
+    later = errors(places, SECOND, 600)
+    assert later[0].max() > 1.0
+    assert later[500:].max() < 0.02
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=2) * 100.0
+    assert np.abs(np.diff(speeds[550:], axis=0)).max() < 0.25  # no kick at the epoch
+
+
+def test_who_hears_of_the_decision_late_holds_and_is_in_place_all_the_same() -> None:
+    places = flown([(0, SECOND)], 700, late_ns=300_000_000)
+    start = SCENARIO.uav(3).position
+    assert np.linalg.norm(places[30, 2] - start) < 0.02
+    assert errors(places, SECOND, 500).max() < 0.05
