@@ -35,20 +35,20 @@ from ptnsbc_core.types import (
     EstimatorConfig,
     FilterConfig,
     InertialParameters,
-    LoopGain,
     RecoveryConfig,
     Trajectory,
     Vector3,
 )
 from ptnsbc_sim.plugins.formation_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import leader_motion, turn_of
-from ptnsbc_sim.scenario.gains import Loop, gain_of
+from ptnsbc_sim.scenario.gains import gain_of
+from ptnsbc_sim.scenario.mission.completion import SHORTEST_ARM_M
 from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import plant_of
+from ptnsbc_sim.scenario.problems import Problem
 from ptnsbc_sim.scenario.scenario import Scenario
 
-_SHORTEST_ARM_M = 1e-3
 _LEAST_LEFT = 0.25  # of speed and braking, whatever the leader does
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
 
@@ -57,11 +57,6 @@ def three(vector: Iterable[float]) -> Vector3:
     """A vector of three numbers as the kernels take it."""
     x, y, z = (float(number) for number in vector)
     return x, y, z
-
-
-def loop_of(scenario: Scenario, loop: Loop) -> LoopGain:
-    """A loop's gains as flown: `gain_of` with the scenario's profile."""
-    return gain_of(scenario.gains, loop)
 
 
 def leader_trajectory(scenario: Scenario) -> Trajectory:
@@ -131,39 +126,36 @@ def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
     return np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
 
 
-def _desired_by(
-    scenario: Scenario, own: Array, parent: Array, anchor: Array
-) -> tuple[Vector3, Vector3]:
-    """`_desired` by the task of the user; zeros of a scenario from a bag, which is not flown."""
-    named = str(scenario.plugins.task)
-    if not Path(named).is_absolute():
-        return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-    return load_task(named).desired(own, parent, anchor)
+def shape_problem(scenario: Scenario, uav_id: int) -> Problem | None:
+    """The reason why a task has no meaning for a follower at its place; None where it has one."""
+    task, parent = scenario.formation.task, scenario.communication.parent(uav_id)
+    arm_m = float(np.hypot(*_offset_from_parent(scenario, uav_id)[:2]))
+    if scenario.plugins.task or parent is None or not needs_arm(task) or arm_m >= SHORTEST_ARM_M:
+        return None
+    return Problem(
+        f"formation.offsets_m.{uav_id}",
+        f"{arm_m:.3g} m beside its parent UAV {parent}",
+        f"at least {SHORTEST_ARM_M:g} m, the angles of task {task} have no meaning straight above or below",
+        "move it, or use task: relative_position",
+    )
 
 
 def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     """Desired task value and the row scale that puts every row in metres."""
     parent = scenario.communication.parent(uav_id)
-    if parent is None:
+    named = scenario.plugins.task
+    # The file of a task from a bag is not known: such a scenario is not flown.
+    if parent is None or (named and not Path(named).is_absolute()):
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-    task = scenario.formation.task
     own, above = scenario.offset(uav_id), scenario.offset(parent)
     anchor = reference_offset(scenario, uav_id)
-    if scenario.plugins.task is not None:
-        return _desired_by(scenario, own, above, anchor)
-    arm = float(np.hypot(*(own - above)[:2]))
-    if needs_arm(task) and arm < _SHORTEST_ARM_M:
-        raise FormationError(
-            f"{scenario.source}: formation.offsets_m.{uav_id}: {arm:.3g} m beside its parent UAV "
-            f"{parent}: expected at least {_SHORTEST_ARM_M:g} m, the angles of task {task} have no "
-            "meaning straight above or below; move it, or use task: relative_position"
-        )
-    try:
-        value = desired_value(TASKS[task], own, above, anchor)
-    except FormationError as error:
-        where = f"{scenario.source}: formation.offsets_m.{uav_id}"
-        raise FormationError(f"{where}: {error}") from None
-    return value, metres_per_row(task, arm)
+    if named:
+        return load_task(named).desired(own, above, anchor)
+    if problem := shape_problem(scenario, uav_id):
+        raise FormationError(f"{scenario.source}: {problem}")
+    task = scenario.formation.task
+    scale = metres_per_row(task, float(np.hypot(*(own - above)[:2])))
+    return desired_value(TASKS[task], own, above, anchor), scale
 
 
 def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
@@ -217,7 +209,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     return ClearanceConfig(
         rule=AVOIDANCE[scenario.formation.avoidance],
         margin_m=float(gains.margin_m),
-        gain=loop_of(scenario, gains),
+        gain=gain_of(scenario.gains, gains),
         circulation=float(gains.circulation),
         ramp_s=float(gains.ramp_s),
         timeout_s=float(gains.timeout_s),
@@ -304,8 +296,8 @@ def _controller(scenario: Scenario, uav_id: int) -> ControllerConfig:
         plant=PLANTS[scenario.plant.kind],
         gravity=float(scenario.world.gravity_m_s2),
         nominal=InertialParameters(float(vehicle.mass_kg), three(vehicle.inertia_kg_m2)),
-        force=loop_of(scenario, gains.force),
-        torque=loop_of(scenario, gains.torque),
+        force=gain_of(scenario.gains, gains.force),
+        torque=gain_of(scenario.gains, gains.torque),
         boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),
         adaptation=(float(1.0 / adaptation.gamma_mass), float(1.0 / adaptation.gamma_inertia)),
         mass_range=float(adaptation.mass_range),
@@ -339,8 +331,8 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
         anchor=three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
-        formation=loop_of(scenario, gains.formation),
-        attitude=loop_of(scenario, gains.attitude),
+        formation=gain_of(scenario.gains, gains.formation),
+        attitude=gain_of(scenario.gains, gains.attitude),
         damping_threshold=float(gains.damping.threshold),
         damping_max=float(gains.damping.maximum),
         estimator=_estimator(scenario, uav_id),

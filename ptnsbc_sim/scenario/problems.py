@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -39,6 +39,19 @@ _LONGEST_VALUE = 60
 
 class ScenarioError(PtnsbcError):
     """A scenario file that cannot be read or does not describe a flight."""
+
+
+class Problem(NamedTuple):
+    """What does not fit in a scenario."""
+
+    key: str
+    value: str
+    expected: str
+    advice: str
+
+    def __str__(self) -> str:
+        """In one line, behind the name of the file."""
+        return f"{self.key}: {self.value}: expected {self.expected}; {self.advice}"
 
 
 def similar(word: object, known: Iterable[object]) -> str:

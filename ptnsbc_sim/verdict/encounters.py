@@ -23,7 +23,8 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
-from ptnsbc_sim.scenario.constants import loop_of, recovery_config
+from ptnsbc_sim.scenario.constants import recovery_config
+from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.members import by_phase
@@ -58,7 +59,7 @@ def recovery_s(scenario: Scenario, error_m: float) -> float:
 
 def _recovery_of(scenario: Scenario, uav: int) -> Callable[[float], float]:
     """`recovery_s` of one UAV."""
-    loop = loop_of(scenario, scenario.gains.formation)  # as flown
+    loop = gain_of(scenario.gains, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
     if scenario.formation.approach != "planned":
@@ -171,7 +172,7 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
     """
     scenario, start_ns = recording.flown, recording.start_ns
-    gain = loop_of(scenario, scenario.gains.formation)  # as flown
+    gain = gain_of(scenario.gains, scenario.gains.formation)  # as flown
     slowing_s, duration_s = 1.0 / max(gain.scale * gain.kappa, 1e-9), plan_duration(gain)
     looked = np.concatenate(([start_ns], ends, ends + _GROWTH_NS)).clip(start_ns, recording.end_ns)
     stamps, which = np.unique(looked, return_inverse=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.problems import Problem
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 from ptnsbc_tools.check.gains import (
     changes,
@@ -70,7 +71,5 @@ def refuse(scenario: Scenario, findings: Sequence[Finding]) -> None:
     if errors:
         first = errors[0]
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        raise CheckError(
-            f"{scenario.source}: {first.key}: {first.value}: expected {first.limit}; "
-            f"{first.advice}{more}"
-        )
+        problem = Problem(first.key, first.value, first.limit, first.advice)
+        raise CheckError(f"{scenario.source}: {problem}{more}")

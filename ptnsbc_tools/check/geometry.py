@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference_positions
-from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.formation_tasks import conditioning
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
@@ -21,6 +20,7 @@ from ptnsbc_sim.scenario.constants import (
     places_beside_leader,
     recovery_config,
     reference_offset,
+    shape_problem,
     sight_speed,
 )
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
@@ -59,14 +59,6 @@ def graph(scenario: Scenario) -> Findings:
     )
 
 
-def _no_shape(scenario: Scenario, uav: int, error: FormationError) -> Finding:
-    key = f"formation.offsets_m.{uav}"
-    text = str(error).removeprefix(f"{scenario.source}: {key}: ")
-    value, _, rest = text.partition(": expected ")
-    limit, _, advice = rest.partition("; ")
-    return Finding(ERROR, key, value, limit, advice)
-
-
 def shape(scenario: Scenario) -> Findings:
     """Conditioning of every follower's task at the desired formation.
 
@@ -82,17 +74,15 @@ def shape(scenario: Scenario) -> Findings:
     for uav in scenario.followers:
         parent = scenario.communication.parent(uav)
         assert parent is not None  # or the scenario would not have loaded
-        try:
-            row_scale = agent_config(scenario, uav).row_scale
-        except FormationError as error:
-            yield _no_shape(scenario, uav, error)
+        if problem := shape_problem(scenario, uav):
+            yield Finding(ERROR, *problem)
             continue
         sigma = conditioning(
             TASKS[task],
             scenario.offset(uav),
             scenario.offset(parent),
             reference_offset(scenario, uav),
-            row_scale,
+            agent_config(scenario, uav).row_scale,
         )
         singular = not sigma >= (0.0 if planned else _SINGULAR)  # also when it is NaN
         severity = ERROR if singular else WARNING if sigma < threshold else INFO

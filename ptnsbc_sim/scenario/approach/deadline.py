@@ -33,7 +33,7 @@ from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, Route, extremes, trajectory_of
-from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
+from ptnsbc_sim.scenario.model import Plant, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 _SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
@@ -89,7 +89,7 @@ def _motion(file: ScenarioFile) -> tuple[float, float]:
     return max(leader[0], places[0]), max(leader[1], places[1])
 
 
-def _vehicle_acceleration(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
+def _actuators(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
     """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
     gravity = file.world.gravity_m_s2
     if plant.kind != "quadrotor" or plant.quadrotor is None:
@@ -100,17 +100,13 @@ def _vehicle_acceleration(file: ScenarioFile, plant: Plant, leader_speed: float)
     return min([upwards, *([sideways - drag] if gravity > 0 else [])])
 
 
-def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: float) -> MotionLimits:
-    actuators = _vehicle_acceleration(file, plant_of(file.plant, uav), speed)
-    most = min(file.gains.filter.max_acceleration_m_s2, actuators)
-    return MotionLimits(file.max_speed_m_s(uav.id) - speed, most - acceleration)
-
-
 def _left(file: ScenarioFile, speed: float, acceleration: float) -> MotionLimits:
     """The rest of the limits of the weakest vehicle: that of the speed and that of the acceleration may be two."""
-    every = [_left_of(file, uav, speed, acceleration) for uav in file.uavs]
+    most = file.gains.filter.max_acceleration_m_s2
+    actuators = (_actuators(file, plant_of(file.plant, uav), speed) for uav in file.uavs)
     return MotionLimits(
-        min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every)
+        min(file.max_speed_m_s(uav) - speed for uav in file.uav_ids),
+        min(min(most, actuator) - acceleration for actuator in actuators),
     )
 
 
@@ -157,7 +153,9 @@ def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
         until_s: end of the time [s] that counts, when another leg begins.
     """
     if isinstance(one.leg, LandLeg):
-        height = _highest(file, one.begin_s) - one.leg.ground_m
+        curve, places = trajectory_of(file.leader.trajectory), _offsets_at(file, one.begin_s)
+        lead = float(curve_samples(curve, np.array([one.begin_s]))[0, 2])
+        height = lead + max(float(place[2]) for place in places.values()) - one.leg.ground_m
         speed = file.gains.hold.land_speed_m_s
         need = height / speed if speed > 0.0 else math.inf
         return LegRoom(
@@ -173,35 +171,13 @@ def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
     )
 
 
-def _highest(file: ScenarioFile, t: float) -> float:
-    """Height [m] of the highest place."""
-    curve, now = trajectory_of(file.leader.trajectory), np.array([t])
-    lead = float(curve_samples(curve, now)[0, 2])
-    offsets = [place[2] for place in file.formation.offsets_m.values()]
-    if file.formation.moves:
-        shapes = [shape_of(file, uav) for uav in file.formation.offsets_m]
-        offsets = [float(place_samples(shape, curve, now)[0, 2]) for shape in shapes]
-    return lead + max([0.0, *offsets])
-
-
-def _offsets_at(file: ScenarioFile, begin_s: float) -> dict[int, Array]:
+def _offsets_at(file: ScenarioFile, t: float) -> dict[int, Array]:
     """Place (3,) [m] of every slot beside the leader's, so long after the first epoch."""
     offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
     if file.formation.moves:
-        curve, now = trajectory_of(file.leader.trajectory), np.array([begin_s])
+        curve, now = trajectory_of(file.leader.trajectory), np.array([t])
         offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
-    return {uav.id: offsets.get(uav.id, np.zeros(3)) for uav in file.uavs}
-
-
-def _slots_at_start(file: ScenarioFile) -> dict[int, int]:
-    """Slot of every UAV: its own, or the one that its start is given."""
-    ids = [uav.id for uav in file.uavs]
-    if file.formation.assignment == "fixed":
-        return dict(zip(ids, ids, strict=True))
-    places = np.stack(list(_offsets_at(file, 0.0).values()))
-    starts = np.array([uav.position_m for uav in file.uavs])
-    order = nearest_places(starts, places, centred=True)
-    return {uav: ids[row] for uav, row in zip(ids, order, strict=True)}
+    return {uav: offsets.get(uav, np.zeros(3)) for uav in file.uav_ids}
 
 
 def starts_of(file: ScenarioFile) -> EpochPlaces:
@@ -209,10 +185,13 @@ def starts_of(file: ScenarioFile) -> EpochPlaces:
 
     Without the UAVs that join later, by a deadline of their own.
     """
-    slots = _slots_at_start(file)
-    there = [uav for uav in file.uavs if uav.joins_s is None]
-    positions = {uav.id: np.array(uav.position_m, dtype=np.float64) for uav in there}
-    return EpochPlaces(positions, {uav: slots[uav] for uav in positions}, 0.0)
+    ids = slots = file.uav_ids
+    if file.formation.has_open_slots:
+        places = np.stack(list(_offsets_at(file, 0.0).values()))
+        starts = np.array([uav.position_m for uav in file.uavs])
+        slots = tuple(ids[row] for row in nearest_places(starts, places, centred=True))
+    there = {uav.id: slot for uav, slot in zip(file.uavs, slots, strict=True) if not uav.joins_s}
+    return EpochPlaces({uav: file.uav(uav).position for uav in there}, there, 0.0)
 
 
 def start_errors(file: ScenarioFile, starts: EpochPlaces | None = None) -> dict[int, float]:
@@ -243,11 +222,10 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
 
 def planned_pairs(file: ScenarioFile) -> Pairs:
     """All pairs of UAVs with their own places, from the starts of the file."""
-    formation, offsets = file.formation, _offsets_at(file, 0.0)
+    offsets = _offsets_at(file, 0.0)
     starts = np.array([uav.position_m for uav in file.uavs])
-    lead = next(row for row, uav in enumerate(file.uavs) if uav.id == file.leader.id)
-    own = [uav.keep_out_m for uav in file.uavs]
-    keep_outs = [formation.uav_keep_out_m if one is None else one for one in own]
+    lead = file.uav_ids.index(file.leader.id)
+    keep_outs = [file.keep_out_m(uav) for uav in file.uav_ids]
     places = np.array([offsets[uav.id] for uav in file.uavs])
     margin_m = float(file.gains.clearance.margin_m)
     return pairs_of(starts - starts[lead], places, np.array(keep_outs), margin_m)
@@ -277,29 +255,14 @@ def turn_of(file: ScenarioFile) -> float:
 
 def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, float]:
     """Shortest deadline [s] for each UAV, with what a mission leaves of the limits, both above 0."""
-    return _deadlines(file, limits, turn_of(file))
-
-
-def longest_need(file: ScenarioFile, limits: MotionLimits) -> Need:
-    """The UAV whose shortest deadline is the longest, the first by number; as `shortest_deadlines`, for less work."""
-    return _longest_need(file, limits, turn_of(file))
-
-
-def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | None:
-    """Shortest deadline [s] for a UAV from where it was at an epoch; None: the mission leaves nothing of the limits."""
-    limits, turn = limits_left(file), turn_of(file)
-    if min(limits) <= 0.0:
-        return None
-    bound = _bound(file, limits, turn, start_errors(file, starts)[uav], starts.slots[uav])
-    return shortest_below(file, starts, uav, bound, turn)
-
-
-def _deadlines(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
-    starts, bounds = starts_of(file), _bounds(file, limits, turn)
+    starts, turn = starts_of(file), turn_of(file)
+    bounds = _bounds(file, limits, turn)
     return {uav: shortest_below(file, starts, uav, bound, turn) for uav, bound in bounds.items()}
 
 
-def _longest_need(file: ScenarioFile, limits: MotionLimits, turn: float) -> Need:
+def longest_need(file: ScenarioFile, limits: MotionLimits, turn: float | None = None) -> Need:
+    """The UAV whose shortest deadline is the longest, the first by number; as `shortest_deadlines`, for less work."""
+    turn = turn_of(file) if turn is None else turn
     starts, bounds = starts_of(file), _bounds(file, limits, turn)
     longest = Need(0, -math.inf)
     for uav in sorted(bounds, key=lambda one: (-bounds[one], one)):
@@ -310,11 +273,13 @@ def _longest_need(file: ScenarioFile, limits: MotionLimits, turn: float) -> Need
     return longest
 
 
-def _turned_s(error_m: float, limits: MotionLimits, turn: float) -> float:
-    """`feasible_deadline` of an approach that turns by `turn` [rad]."""
-    peaks = approach_peaks(turn)
-    by_speed = peaks.speed * error_m / limits.speed_m_s
-    return max(by_speed, math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2))
+def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | None:
+    """Shortest deadline [s] for a UAV from where it was at an epoch; None: the mission leaves nothing of the limits."""
+    limits, turn = limits_left(file), turn_of(file)
+    if min(limits) <= 0.0:
+        return None
+    bound = _bound(file, limits, turn, start_errors(file, starts)[uav], starts.slots[uav])
+    return shortest_below(file, starts, uav, bound, turn)
 
 
 def _bounds(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
@@ -329,7 +294,11 @@ def _bound(
     straight = feasible_deadline(error_m, limits.speed_m_s, limits.acceleration_m_s2)
     if file.formation.approach == "task" or slot == file.leader.id:
         return straight
-    need = straight if turn == 0.0 else _turned_s(error_m, limits, turn)
+    need = straight
+    if turn != 0.0:
+        peaks = approach_peaks(turn)
+        accelerating_s = math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2)
+        need = max(peaks.speed * error_m / limits.speed_m_s, accelerating_s)
     # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
     gain = gain_of(file.gains, file.gains.formation)
     settling = 1.0 / max(gain.scale * gain.kappa, 1e-9)
@@ -349,9 +318,9 @@ def auto_deadline(file: ScenarioFile, source: str) -> float:
             f"{limits.acceleration_m_s2:.2f} m/s^2: expected both above 0, slow the leader down or raise the limits"
         )
     turn = file.formation.turn_rad
-    turn = _open_turns(file)[0] if turn is None else float(turn)
-    shortest = _longest_need(file, limits, turn).deadline_s
+    turn = _open_turns(file)[0] if turn is None else turn
+    shortest = longest_need(file, limits, turn).deadline_s
     # The inner loops have to be done before the formation is.
-    inner = file.gains
-    least = 1.2 * max(inner.estimator.deadline_s, inner.force.deadline_s, inner.torque.deadline_s)
+    inner = (file.gains.estimator, file.gains.force, file.gains.torque)
+    least = 1.2 * max(loop.deadline_s for loop in inner)
     return round(math.ceil(max(MARGIN * shortest, least) / _STEP_S - 1e-9) * _STEP_S, 6)

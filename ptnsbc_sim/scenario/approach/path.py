@@ -26,7 +26,7 @@ from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
-from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock, plant_of
+from ptnsbc_sim.scenario.model import ScenarioFile
 
 APART_M = 0.2
 """A planned pair is clear when it keeps so much more than its keep-out and the margin of the clearance."""
@@ -53,20 +53,16 @@ def approach_peaks(turn: float) -> ApproachPeaks:
     if turn == 0.0:
         return ApproachPeaks(2.1875, 7.513)
     s = np.linspace(0.0, 1.0, 2001)
-    rate = np.gradient(_left(turn, s), s)
+    rate = np.gradient(_left(turn, len(s)), s)
     change = np.gradient(rate, s)
     return ApproachPeaks(float(np.abs(rate).max()), float(np.abs(change).max()))
 
 
-def _left(turn: float, s: Array) -> Array:
-    """z (T,) of the horizontal part at s = t / T."""
-    factors = np.array([left_at(turn, one) for one in s.tolist()])
-    return np.asarray(factors[:, 0] + 1j * factors[:, 1])
-
-
 @lru_cache
-def _shares(turn: float) -> Array:
-    return _left(turn, np.linspace(0.0, 1.0, _SAMPLES))
+def _left(turn: float, samples: int) -> Array:
+    """z (T,) of the horizontal part at even shares of the duration."""
+    factors = np.array([left_at(turn, s) for s in np.linspace(0.0, 1.0, samples).tolist()])
+    return np.asarray(factors[:, 0] + 1j * factors[:, 1])
 
 
 def rise(s: Array) -> Array:
@@ -103,11 +99,10 @@ def pairs_of(starts: Array, places: Array, keep_outs: Array, margin_m: float) ->
 
 def distances(pairs: Pairs, turn: float) -> Array:
     """Least planned distance (P,) [m] of every pair."""
-    z = _shares(turn)
     ends = pairs.places[:, 0] + 1j * pairs.places[:, 1]
     errors = pairs.errors[:, 0] + 1j * pairs.errors[:, 1]
     least = np.full(len(ends), np.inf)
-    for factor in z:
+    for factor in _left(turn, _SAMPLES):
         flat = np.abs(ends - factor * errors)
         up = pairs.places[:, 2] - abs(factor) * pairs.errors[:, 2]
         least = np.minimum(least, np.hypot(flat, up))
@@ -197,13 +192,16 @@ def planned_paths(
     return t, path + place - left_of_start(turn, s, error)
 
 
-def _demand(file: ScenarioFile, block: UavBlock, t: Array, path: Array) -> Array:
-    """Largest part (D,) of any limit of the vehicle that a path (D, K, 3) at times (D, K) takes; 1 is all of it."""
+def demands(
+    file: ScenarioFile, starts: EpochPlaces, uav: int, deadlines: Array, turn: float
+) -> Array:
+    """Largest part (D,) of any limit that the planned path of a UAV takes, for deadlines (D,) [s]."""
+    t, path = planned_paths(file, starts, uav, deadlines, turn)
     dt = (t[:, 1] - t[:, 0])[:, None, None]
     velocity = np.diff(path, axis=1) / dt
     acceleration = np.diff(velocity, axis=1) / dt
-    plant, gravity = plant_of(file.plant, block), file.world.gravity_m_s2
-    speed = np.linalg.norm(velocity, axis=2).max(axis=1) / file.max_speed_m_s(block.id)
+    plant, gravity = file.vehicle(uav), file.world.gravity_m_s2
+    speed = np.linalg.norm(velocity, axis=2).max(axis=1) / file.max_speed_m_s(uav)
     rate = (
         np.linalg.norm(acceleration, axis=2).max(axis=1) / file.gains.filter.max_acceleration_m_s2
     )
@@ -221,14 +219,6 @@ def _demand(file: ScenarioFile, block: UavBlock, t: Array, path: Array) -> Array
     lift = np.maximum(force[..., 2], _ROUNDING) * math.tan(plant.quadrotor.max_tilt_rad)
     tilt = (np.hypot(force[..., 0], force[..., 1]) / lift).max(axis=1)
     return np.max([speed, rate, thrust, tilt], axis=0)
-
-
-def demands(
-    file: ScenarioFile, starts: EpochPlaces, uav: int, deadlines: Array, turn: float
-) -> Array:
-    """Largest part (D,) of any limit that the planned path of a UAV takes, for deadlines (D,) [s]."""
-    block = next(one for one in file.uavs if one.id == uav)
-    return _demand(file, block, *planned_paths(file, starts, uav, deadlines, turn))
 
 
 def shortest_below(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.formation_tasks import conditioning, metres_per_row, needs_arm
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
@@ -28,7 +27,7 @@ from ptnsbc_sim.scenario.problems import ScenarioError, Tree
 _DEEPEST = 3  # hops of a proposed tree
 _POWERS = (3.0, 2.0, 1.5, 1.25, 1.0)  # of an edge's length: the first whose tree is not too deep
 _CONDITIONED = 0.35  # smallest singular value of a task below which it is damped
-_SHORTEST_ARM_M = 1e-3
+SHORTEST_ARM_M = 1e-3
 _OF_FORM = {"shape": "shape", "offsets_m": "offsets_m", "slots": "assignment"}
 
 
@@ -215,10 +214,7 @@ def _usable(task: str, own: Array, above: Array, reference: Array) -> bool:
     arm = float(np.hypot(*(own - above)[:2]))
     if not needs_arm(task):
         return True
-    if arm < _SHORTEST_ARM_M:
+    if arm < SHORTEST_ARM_M:
         return False
-    try:
-        scale = metres_per_row(task, arm)
-        return conditioning(TASKS[task], own, above, reference, scale) >= _CONDITIONED
-    except FormationError:
-        return False
+    scale = metres_per_row(task, arm)
+    return conditioning(TASKS[task], own, above, reference, scale) >= _CONDITIONED

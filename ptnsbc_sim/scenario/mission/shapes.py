@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, UavId, Vec3, three
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, UavId, Vec3, rows_of, three
 
 Factor = Annotated[Number, Field(ge=-1000, le=1000)]
 
@@ -141,26 +140,17 @@ def _places_of(text: str | None, size: int) -> Array:
     """Places (N, 3) [m] from CSV text with a row for each follower."""
     if text is None:
         raise ValueError("file: missing: expected the name of a CSV file, or samples")
-    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
-    if rows and not _is_number(rows[0][0]):
-        rows = rows[1:]
-    if len(rows) != size - 1:
-        raise ValueError(f"samples: {len(rows)} places: expected {size - 1}, one for each follower")
     try:
-        places = np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, 3)
-    except ValueError:
-        raise ValueError("samples: expected three numbers x, y, z in each row") from None
-    if len(places) != len(rows) or not np.isfinite(places).all() or np.abs(places).max() > 1e6:
-        raise ValueError("samples: expected three numbers x, y, z in each row, up to 1e6 m")
+        places = rows_of(text, "x, y, z", (3,))
+    except ValueError as error:
+        raise ValueError(f"samples: {error}") from None
+    if len(places) != size - 1:
+        raise ValueError(
+            f"samples: {len(places)} places: expected {size - 1}, one for each follower"
+        )
+    if np.abs(places).max(initial=0.0) > 1e6:
+        raise ValueError("samples: expected no number beyond 1e6 m")
     return np.concatenate([np.zeros((1, 3)), places])
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def changed(change: Reshaping, place: Array) -> Array:

@@ -8,7 +8,6 @@ when the setpoint arrives, and is within the limits and the region, or the setpo
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -23,10 +22,9 @@ from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array, Trajectory
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3, rows_of
 from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, YAW, conditions, curve_of
 
-_COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz", "yaw")
 _STRETCH: Array = np.power(1.25, np.arange(20.0))  # of join_s and stop_s, up to 69 times
 _SHARES = np.linspace(0.0, 1.0, 65)  # of a polynomial, at which it is compared with the limits
 _SLACK = 1.0 + 1e-6
@@ -124,22 +122,15 @@ def setpoints_of(text: str) -> tuple[Setpoint, ...]:
     Raises:
         ValueError: a row that is no setpoint, in words that follow a key.
     """
-    found: list[Setpoint] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), 1):
-        if not row or row[0].lstrip().startswith("#"):
-            continue
-        try:
-            t, x, y, z, vx, vy, vz, yaw = (float(cell) for cell in row)
-        except ValueError:
-            if number == 1:
-                continue  # the names of the columns
-            raise ValueError(f"row {number}: expected numbers {', '.join(_COLUMNS)}") from None
-        if not np.isfinite([t, x, y, z, vx, vy, vz, yaw]).all():
-            raise ValueError(f"row {number}: expected finite numbers")
-        if found and t <= found[-1].at_s:
-            raise ValueError(f"row {number}: t = {t:g}: expected times that ascend")
-        found.append(Setpoint(t, (x, y, z), (vx, vy, vz), yaw))
-    return tuple(found)
+    rows = rows_of(text, "t, x, y, z, vx, vy, vz, yaw", (8,))
+    if late := np.flatnonzero(np.diff(rows[:, 0]) <= 0.0).tolist():
+        row = late[0] + 1
+        raise ValueError(
+            f"row {row + 1} of numbers: t = {rows[row, 0]:g}: expected times that ascend"
+        )
+    return tuple(
+        Setpoint(t, (x, y, z), (vx, vy, vz), yaw) for t, x, y, z, vx, vy, vz, yaw in rows.tolist()
+    )
 
 
 def streamed(block: SetpointTrajectory, setpoints: Sequence[Setpoint]) -> Streamed:

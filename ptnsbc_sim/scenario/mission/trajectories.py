@@ -5,7 +5,6 @@ SciPy's splines make curves through points once; they become a table of polynomi
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -28,7 +27,7 @@ from ptnsbc_core.types import (
     Array,
     Trajectory,
 )
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3, rows_of
 from ptnsbc_sim.scenario.mission.pieces import NO_TABLE, WIDTH, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
@@ -273,27 +272,9 @@ def samples_of(text: str) -> Samples:
     Raises:
         ValueError: a row that is none, in words that follow a key.
     """
-    found: list[list[float]] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), 1):
-        if not row or row[0].lstrip().startswith("#"):
-            continue
-        try:
-            numbers = [float(cell) for cell in row]
-        except ValueError:
-            if not found and number == 1:
-                continue  # the names of the columns
-            raise ValueError(f"row {number}: expected numbers t, x, y, z, yaw") from None
-        width = len(found[0]) if found else len(numbers)
-        if len(numbers) not in (4, 5) or len(numbers) != width:
-            raise ValueError(
-                f"row {number}: {len(numbers)} numbers: expected t, x, y, z and, in all rows or none, yaw"
-            )
-        if not np.isfinite(numbers).all():
-            raise ValueError(f"row {number}: expected finite numbers")
-        found.append(numbers)
-    if not 2 <= len(found) <= MOST_POINTS:
-        raise ValueError(f"{len(found)} rows: expected 2 to {MOST_POINTS}")
-    table = np.array(found)
+    table = rows_of(text, "t, x, y, z and, in all rows or none, yaw", (4, 5))
+    if not 2 <= len(table) <= MOST_POINTS:
+        raise ValueError(f"{len(table)} rows: expected 2 to {MOST_POINTS}")
     if _too_far(table):
         raise ValueError(f"expected no number beyond {_FARTHEST:g}")
     wrong = _not_ascending(table[:, 0].tolist())
