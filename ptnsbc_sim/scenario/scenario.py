@@ -183,7 +183,8 @@ class Scenario(ScenarioFile):
             SetpointError: one that the leader cannot follow.
         """
         path: Any = self.leader.trajectory
-        return self._following(streamed(getattr(path, "block", path), tuple(setpoints)))
+        path = streamed(getattr(path, "block", path), tuple(setpoints))
+        return replaced(self, {"leader.trajectory": path})
 
     def with_setpoint(self, setpoint: Setpoint) -> Scenario:
         """The same with one more setpoint, in flight: what is long past is forgotten.
@@ -192,10 +193,7 @@ class Scenario(ScenarioFile):
             SetpointError: the leader cannot follow it.
         """
         path: Any = self.leader.trajectory
-        streaming = path if isinstance(path, Streamed) else streamed(path, ())
-        return self._following(going_on(streaming, setpoint))
-
-    def _following(self, path: Streamed) -> Scenario:
+        path = going_on(path if isinstance(path, Streamed) else streamed(path, ()), setpoint)
         return replaced(self, {"leader.trajectory": path})
 
     @property

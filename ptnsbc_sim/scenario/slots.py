@@ -14,7 +14,7 @@ lead.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.topology import Topology, estimator_matrix, validated_topology
 from ptnsbc_core.types import NEVER_RECEIVED_S, Array
 from ptnsbc_sim.scenario.constants import places_beside_leader
-from ptnsbc_sim.scenario.fields import Block
-from ptnsbc_sim.scenario.mission.shapes import Change, nearest_places
-from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.fields import replaced
+from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.scenario import Scenario
 
 Slots = Mapping[int, int]
@@ -61,15 +60,15 @@ def optimal_slots(
 def require_slots(scenario: Scenario, slots: Slots) -> None:
     """Raise SlotsError unless `slots` gives every UAV a slot of its own."""
     ids = set(scenario.uav_ids)
-    if set(slots) != ids:
-        odd = ", ".join(map(str, sorted(ids.symmetric_difference(slots))))
+    if odd := ids.symmetric_difference(slots):
+        odd_ids = ", ".join(map(str, sorted(odd)))
         raise SlotsError(
-            f"slots of {len(slots)} UAVs: expected those of {len(ids)}; look at UAV {odd}"
+            f"slots of {len(slots)} UAVs: expected those of {len(ids)}; look at UAV {odd_ids}"
         )
-    if set(slots.values()) != ids:
-        odd = ", ".join(map(str, sorted(ids.symmetric_difference(slots.values()))))
+    if odd := ids.symmetric_difference(slots.values()):
+        odd_ids = ", ".join(map(str, sorted(odd)))
         raise SlotsError(
-            f"slots: no UAV or more than one takes slot {odd}: expected one UAV for each"
+            f"slots: no UAV or more than one takes slot {odd_ids}: expected one UAV for each"
         )
 
 
@@ -85,8 +84,25 @@ def with_slots(scenario: Scenario, slots: Slots) -> Scenario:
     holder = {slot: uav for uav, slot in slots.items()}
     if all(uav == slot for uav, slot in slots.items()):
         return scenario
-    topology = _topology_of(scenario.topology, holder)
-    return scenario.model_copy(update={**_blocks_of(scenario, holder), "topology": topology})
+    links, formation = scenario.communication, scenario.formation
+
+    def held(offsets_m: Mapping[int, Any] | None) -> dict[int, Any] | None:
+        return None if offsets_m is None else {holder[k]: at for k, at in offsets_m.items()}
+
+    keys = {
+        "communication.tree": {holder[child]: holder[above] for child, above in links.tree.items()},
+        "communication.leader_links": tuple(holder[slot] for slot in links.leader_links),
+        "communication.estimator_edges": tuple(
+            (holder[a], holder[b]) for a, b in links.estimator_edges
+        ),
+        "leader.id": holder[scenario.leader.id],
+        "formation.offsets_m": held(formation.offsets_m),
+        "formation.changes": tuple(
+            replaced(change, {"offsets_m": held(change.offsets_m)}) for change in formation.changes
+        ),
+        "topology": _topology_of(scenario.topology, holder),
+    }
+    return replaced(scenario, keys)
 
 
 def with_slots_of_starts(scenario: Scenario) -> Scenario:
@@ -95,34 +111,6 @@ def with_slots_of_starts(scenario: Scenario) -> Scenario:
         return scenario
     starts = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
     return with_slots(scenario, optimal_slots(scenario, starts))
-
-
-def _blocks_of(file: ScenarioFile, holder: Mapping[int, int]) -> dict[str, Block]:
-    """The blocks of a file in which each UAV holds the slot of another one."""
-    links, formation = file.communication, file.formation
-    links = links.model_copy(
-        update={
-            "tree": {holder[child]: holder[above] for child, above in links.tree.items()},
-            "leader_links": tuple(holder[slot] for slot in links.leader_links),
-            "estimator_edges": tuple((holder[a], holder[b]) for a, b in links.estimator_edges),
-        }
-    )
-    formation = formation.model_copy(
-        update={
-            "offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()},
-            "changes": tuple(_change_of(change, holder) for change in formation.changes),
-        }
-    )
-    leader = file.leader.model_copy(update={"id": holder[file.leader.id]})
-    return {"communication": links, "leader": leader, "formation": formation}
-
-
-def _change_of(change: Change, holder: Mapping[int, int]) -> Change:
-    if change.offsets_m is None:
-        return change
-    return change.model_copy(
-        update={"offsets_m": {holder[k]: at for k, at in change.offsets_m.items()}}
-    )
 
 
 def _topology_of(topology: Topology, holder: Mapping[int, int]) -> Topology:
@@ -211,9 +199,12 @@ def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
     is the nearest one above in the tree that was never absent, else the leader. Of the followers that no estimate of
     the leader would reach, the one with the smallest id in each connected part hears the leader itself.
     """
-    leader = _leader(scenario, members)
-    if leader is None:
+    line = [scenario.leader.id, *scenario.leader.successors]
+    there = [uav for uav in line if uav not in members.absent]
+    steady = [uav for uav in there if uav not in members.returned]
+    if not there:
         return None
+    leader = (steady or there)[0]
     if scenario.formation.vacancy == "close_up":
         scenario = with_slots(scenario, _closed_up(scenario, members, leader))
     links, absent = scenario.communication, members.absent
@@ -223,22 +214,14 @@ def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
     edges = tuple(edge for edge in links.estimator_edges if set(edge) <= set(followers))
     pinned = {uav for uav in links.leader_links if uav in followers}
     pinned |= set(_unreached(followers, edges, pinned))
-    block = links.model_copy(
-        update={"tree": tree, "leader_links": tuple(sorted(pinned)), "estimator_edges": edges}
-    )
-    update = {
-        "communication": block,
-        "leader": scenario.leader.model_copy(update={"id": leader}),
+    keys = {
+        "communication.tree": tree,
+        "communication.leader_links": tuple(sorted(pinned)),
+        "communication.estimator_edges": edges,
+        "leader.id": leader,
         "topology": validated_topology(leader, [leader, *followers], tree, sorted(pinned), edges),
     }
-    return scenario.model_copy(update=update)
-
-
-def _leader(scenario: Scenario, members: Membership) -> int | None:
-    line = [scenario.leader.id, *scenario.leader.successors]
-    there = [uav for uav in line if uav not in members.absent]
-    steady = [uav for uav in there if uav not in members.returned]
-    return next(iter([*steady, *there]), None)
+    return replaced(scenario, keys)
 
 
 def _parent(tree: Mapping[int, int], uav: int, unfit: frozenset[int], leader: int) -> int:

@@ -36,13 +36,8 @@ NEVER_NS = 2**62
 _RESTART_NS = 2_000_000_000
 """Time that a process takes to start [ns]: so long is a UAV gone that is restarted at once."""
 
-MESSAGES, POSITION, PROCESS, RECORDER, AUTOPILOT = (
-    "messages",
-    "position",
-    "process",
-    "recorder",
-    "autopilot",
-)
+MESSAGES, POSITION, PROCESS = "messages", "position", "process"
+RECORDER, AUTOPILOT = "recorder", "autopilot"
 
 
 class FaultRule(NamedTuple):
@@ -103,7 +98,7 @@ FAULTS: Mapping[str, FaultRule] = {
 """The effect of each kind of fault, and the keys that it takes."""
 
 _AMOUNTS = tuple(rule.needs for rule in FAULTS.values() if rule.needs)
-_PROCESS = re.compile(r"(uav|bridge)([1-9]\d{0,2})|sim|recorder", re.ASCII)
+_OF_UAV = re.compile(r"(?:uav|bridge)(\d+)")
 
 
 class FaultBlock(Block):
@@ -179,37 +174,33 @@ def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
 
 def fault_problems(fault: FaultBlock, uavs: Collection[int]) -> Iterator[str]:
     """The problems of a fault among these UAVs: the key, and what is expected."""
+    rule, kind = fault.rule, fault.kind
     yield from _victim_problems(fault)
-    found = _PROCESS.fullmatch(fault.process) if fault.process is not None else None
-    number = fault.uav if found is None or found[2] is None else int(found[2])
+    of_uav = _OF_UAV.fullmatch(fault.process or "")
+    number = int(of_uav[1]) if of_uav else fault.uav
     if number is not None and number not in uavs:
         known = ", ".join(map(str, sorted(uavs)))
         yield f"uav: {number}: no such UAV; expected one of the ids under uavs: {known}"
-    yield from _amount_problems(fault)
+    if rule.needs and getattr(fault, rule.needs) is None:
+        yield f"{rule.needs}: missing: {kind} needs it"
+    for key in _AMOUNTS:
+        if key != rule.needs and getattr(fault, key) is not None:
+            yield f"{key}: {kind} does not take it: remove it"
+    if not rule.lasts and fault.duration_s is not None:
+        yield f"duration_s: {kind} has no end: remove it"
+    if kind == "freeze" and fault.duration_s is None:
+        yield "duration_s: missing: a process that is frozen must go on; use kill to end it"
 
 
 def _victim_problems(fault: FaultBlock) -> Iterator[str]:
-    strikes = fault.rule.strikes
+    strikes, kind = fault.rule.strikes, fault.kind
     if strikes == RECORDER:
         if fault.uav is not None or fault.process not in (None, "recorder"):
-            yield f"uav: {fault.kind} strikes the recorder: expected no UAV"
+            yield f"uav: {kind} strikes the recorder: expected no UAV"
     elif strikes == PROCESS:
         if (fault.uav is None) == (fault.process is None):
-            yield f"uav: {fault.kind} needs uav or process: expected one of them"
+            yield f"uav: {kind} needs uav or process: expected one of them"
     elif fault.process is not None:
-        yield f"process: {fault.process}: {fault.kind} strikes a UAV: expected uav"
+        yield f"process: {fault.process}: {kind} strikes a UAV: expected uav"
     elif fault.uav is None:
-        yield f"uav: missing: expected the id of the UAV that {fault.kind} strikes"
-
-
-def _amount_problems(fault: FaultBlock) -> Iterator[str]:
-    needs = fault.rule.needs
-    if needs and getattr(fault, needs) is None:
-        yield f"{needs}: missing: {fault.kind} needs it"
-    for key in _AMOUNTS:
-        if key != needs and getattr(fault, key) is not None:
-            yield f"{key}: {fault.kind} does not take it: remove it"
-    if not fault.rule.lasts and fault.duration_s is not None:
-        yield f"duration_s: {fault.kind} has no end: remove it"
-    if fault.kind == "freeze" and fault.duration_s is None:
-        yield "duration_s: missing: a process that is frozen must go on; use kill to end it"
+        yield f"uav: missing: expected the id of the UAV that {kind} strikes"

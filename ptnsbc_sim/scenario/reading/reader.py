@@ -170,26 +170,17 @@ def _names(word: str) -> str:
 
 def read_text(path: Path) -> str:
     """The text of a scenario file, as YAML: that of a JSON file is translated."""
-    text = _text_of(path)
-    return dump(parse_json(text, str(path))) if path.suffix == ".json" else text
-
-
-def _text_of(path: Path) -> str:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ScenarioError(f"{path}: over {_MOST_BYTES} bytes: expected a scenario file")
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise ScenarioError(f"{path}: byte {error.start}: expected UTF-8 text") from None
     except OSError as error:
         raise ScenarioError(
             f"{path}: {error.strerror or error}: expected a readable file"
         ) from None
-
-
-def _other_trajectory(key: object, below: Tree, value: Tree) -> bool:
-    """True if `value` is a trajectory of another kind, which has other keys."""
-    return key == "trajectory" and value.get("kind", below.get("kind")) != below.get("kind")
+    return dump(parse_json(text, str(path))) if path.suffix == ".json" else text
 
 
 def merged(base: Tree, own: Tree) -> Tree:
@@ -200,7 +191,9 @@ def merged(base: Tree, own: Tree) -> Tree:
         if value is None:
             result.pop(key, None)
         elif isinstance(value, dict) and isinstance(below, dict):
-            result[key] = merged({} if _other_trajectory(key, below, value) else below, value)
+            kind = below.get("kind")
+            other = key == "trajectory" and value.get("kind", kind) != kind  # has other keys
+            result[key] = merged({} if other else below, value)
         else:
             result[key] = value
     return result
@@ -284,6 +277,7 @@ class _WithoutAliases(yaml.SafeDumper):
 
 def dump(tree: Tree) -> str:
     """`tree` as YAML text that `parse` reads back."""
-    options: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 120}
-    text: str = yaml.dump(tree, Dumper=_WithoutAliases, **options)
+    text: str = yaml.dump(
+        tree, Dumper=_WithoutAliases, sort_keys=False, allow_unicode=True, width=120
+    )
     return text

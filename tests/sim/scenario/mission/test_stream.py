@@ -118,7 +118,7 @@ def test_rows_of_a_file():
     rows = setpoints_of("t,x,y,z,vx,vy,vz,yaw\n1,2,3,4,0.1,0.2,0.3,0.5\n")
     assert rows == (Setpoint(1.0, (2.0, 3.0, 4.0), (0.1, 0.2, 0.3), 0.5),)
     for text, why in (
-        ("0,0,0,4,0,0,0,0\n1,2,3", "row 2: expected numbers t, x, y"),
+        ("0,0,0,4,0,0,0,0\n1,2,3", "row 2: 3 numbers: expected t, x, y"),
         ("0,0,0,nan,0,0,0,0", "row 1: expected finite"),
         ("1,0,0,4,0,0,0,0\n1,0,0,4,0,0,0,0", "row 2: t = 1: expected times that ascend"),
     ):
