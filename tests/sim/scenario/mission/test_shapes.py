@@ -163,7 +163,10 @@ def test_a_shape_from_a_file_is_carried_by_the_scenario(tmp_path) -> None:
             {"kind": "file", "samples": "1,2\n" * 4},
             "formation.shape.samples: row 1: 2 numbers: expected x, y, z",
         ),
-        ({"kind": "file", "samples": "1,2,nan\n" * 4}, "formation.shape.samples: row 1: expected finite numbers"),
+        (
+            {"kind": "file", "samples": "1,2,nan\n" * 4},
+            "formation.shape.samples: row 1: expected finite numbers",
+        ),
     ],
 )
 def test_a_shape_that_does_not_fit_is_named(shape: dict, said: str) -> None:
