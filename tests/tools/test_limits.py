@@ -48,17 +48,16 @@ def run(*words: str) -> tuple[int, str]:
     return result.exit_code, result.stderr.replace("│\n│", "")  # a box wraps its line
 
 
-@pytest.mark.parametrize("value", ["1e300", "inf", "nan"])
 @pytest.mark.parametrize("words", TIMED, ids=" ".join)
-def test_a_huge_number_is_refused(words: tuple[str, ...], value: str, tmp_path: Path) -> None:
+def test_a_huge_number_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
     given = [word.replace("OUT", str(tmp_path / "out")) for word in words]
-    if words[-1] in ("--runs", "--check"):  # whole numbers
-        value = str(10**24)
-    code, err = run(*given, value)
-    assert code == 2
-    words_in = " ".join(err.split())
-    assert re.search(rf"'{words[-1]}'.*: .* (less|greater) than or equal to [\d.]+", words_in)
-    assert not list(tmp_path.iterdir())
+    whole = words[-1] in ("--runs", "--check")
+    for value in [str(10**24)] if whole else ["1e300", "nan"]:
+        code, err = run(*given, value)
+        assert code == 2
+        words_in = " ".join(err.split())
+        assert re.search(rf"'{words[-1]}'.*: .* (less|greater) than or equal to [\d.]+", words_in)
+        assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("value", [1e300, float("inf"), float("nan"), -1.0])

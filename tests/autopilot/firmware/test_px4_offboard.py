@@ -129,6 +129,7 @@ def test_loss_time_is_the_parameter(companion):
     assert px4.vehicle.active == POSCTL
 
 
+@pytest.mark.slow
 def test_zero_velocity_is_not_hold(companion):
     """About 4 m of true drift in 12 s while the estimate read near zero."""
     drifts = []
@@ -164,6 +165,7 @@ def test_its_own_position_loop_holds_as_with_a_twentieth_of_the_noise(companion)
     assert horizontal == pytest.approx(0.16, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_position_loop_by_velocity_holds_as_the_measured_one(companion):
     """P = 0.8 at 20 Hz gave 0.31-0.47 m RMS by its estimate and 0.6-1.0 m by truth, over four vehicles."""
     own, true = [], []

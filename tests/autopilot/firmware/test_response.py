@@ -75,6 +75,7 @@ class Flight:
         return float(t[np.argmax(v >= 0.63)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MEASURED)
 def test_it_follows_velocities_as_the_real_one_does(companion, kind):
     at, exact, step_s = MEASURED[kind]

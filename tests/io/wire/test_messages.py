@@ -158,10 +158,10 @@ def test_a_possible_state_is_what_was_sent(decode):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e7])
-@pytest.mark.parametrize("at", range(13))
-def test_no_number_of_a_state_may_be_impossible(at, value):
-    with pytest.raises(wire.WireError, match="expected"):
-        wire.OdometryDecoder()(odometry(body(at, value)))
+def test_no_number_of_a_state_may_be_impossible(value):
+    for at in range(13):
+        with pytest.raises(wire.WireError, match="expected"):
+            wire.OdometryDecoder()(odometry(body(at, value)))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.9, 1.1, 2.0])
@@ -193,14 +193,14 @@ def test_frames_are_compared_by_name_where_the_gaps_hold_old_memory():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e308, -1e7])
-@pytest.mark.parametrize("at", range(6))
-def test_no_number_of_a_setpoint_may_be_impossible(at, value):
-    values = np.zeros(6)
-    values[at] = value
-    with pytest.raises(wire.WireError, match="expected"):
-        wire.checked_wrench(wire.WrenchTemplate("x").encode(0, values))
-    with pytest.raises(wire.WireError, match="expected"):
-        wire.checked_velocity(wire.VelocityTemplate("x").encode(0, values))
+def test_no_number_of_a_setpoint_may_be_impossible(value):
+    for at in range(6):
+        values = np.zeros(6)
+        values[at] = value
+        with pytest.raises(wire.WireError, match="expected"):
+            wire.checked_wrench(wire.WrenchTemplate("x").encode(0, values))
+        with pytest.raises(wire.WireError, match="expected"):
+            wire.checked_velocity(wire.VelocityTemplate("x").encode(0, values))
 
 
 def near(rows):

@@ -20,7 +20,7 @@ from ptnsbc_nodes.emergency.orders import Order
 from ptnsbc_sim.scenario import load_scenario
 
 
-@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+@pytest.mark.parametrize("kind", ["px4", pytest.param("arducopter", marks=pytest.mark.slow)])
 def test_a_bridge_knows_how_its_vehicle_flies_the_velocities(kind):
     fleet = MavlinkFleet(scenario(kind, duration_s=30.0), kind, gnss="rtk", count=1)
     fleet.airborne().form().run(18.0)

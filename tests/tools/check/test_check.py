@@ -19,9 +19,14 @@ def errors(**changes: Any) -> list[Finding]:
     return [finding for finding in check(scenario) if finding.severity == "error"]
 
 
-@pytest.mark.parametrize("name", ["paper_5", "paper_5_free"])
-@pytest.mark.parametrize("plant", ["quadrotor", "rigid_body_6dof"])
-@pytest.mark.parametrize("task", ["distance_angles", "parent_angle", "relative_position"])
+@pytest.mark.parametrize(
+    ("name", "plant", "task"),
+    [
+        ("paper_5", "quadrotor", "distance_angles"),
+        ("paper_5", "rigid_body_6dof", "relative_position"),
+        ("paper_5_free", "rigid_body_6dof", "parent_angle"),
+    ],
+)
 def test_shipped_scenarios_pass(name: str, plant: str, task: str) -> None:
     scenario = load_scenario(name, {"plant.kind": plant, "formation.task": task})
     findings = check(scenario)
@@ -71,7 +76,7 @@ def test_deadline_below_what_the_acceleration_limit_allows() -> None:
     assert found.limit.startswith(">= 8.40 s")
 
 
-@pytest.mark.parametrize("x", [3.0, 4.0, 5.0, 7.0, 9.0])
+@pytest.mark.parametrize("x", [3.0, 5.0, 9.0])
 def test_the_deadline_that_is_named_is_enough_and_no_shorter_one_is(x: float) -> None:
     """Starts of unlike errors; the deadline is named to a hundredth of a second."""
     starts = {"uavs[0].position_m": [x, -x, 5], "uavs[2].position_m": [-x, 0, 5]}
