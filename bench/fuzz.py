@@ -40,7 +40,7 @@ LARGEST_MB = 300.0
 _REFERENCE = (sys.executable, "-c", "import numba")
 _REFERENCE_S = 0.35  # of a processor that no other guest of the host slows down
 _REPEATED = 3
-_TOLD = 500  # inputs between two lines of progress
+_TELL_S = 10.0  # between two lines of progress
 
 
 class Cost(NamedTuple):
@@ -113,7 +113,8 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
     """So many inputs of one kind, or as many as fit into a time."""
     slowest = largest = Cost(0.0, 0.0)
     failures: list[str] = []
-    done, end = 0, time.monotonic() + (seconds or float("inf"))
+    done, told_s = 0, time.monotonic()
+    end = told_s + (seconds or float("inf"))
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         fuzzer = FUZZERS[kind](Path(folder))
         for data in fuzzer.sound:
@@ -127,7 +128,8 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
             largest = max(largest, cost, key=lambda one: one.megabytes)
             if wrong:
                 failures.append(f"{kept(kind, data)}: {wrong}")
-            if done % _TOLD == 0:
+            if time.monotonic() > told_s + _TELL_S:
+                told_s = time.monotonic()
                 print(
                     f"{kind}: {done} inputs, {len(failures)} failures", file=sys.stderr, flush=True
                 )
