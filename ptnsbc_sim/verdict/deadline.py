@@ -9,16 +9,110 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ptnsbc_sim.scenario.approach.deadline import shortest_from
 from ptnsbc_sim.scenario.approach.path import EpochPlaces
-from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import ancestors
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
-from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise, seconds
+from ptnsbc_sim.verdict.recording import NANO, Recording, seconds
+from ptnsbc_sim.verdict.track import Track
+
+LONGEST_GAP_S = 0.25
+"""Longest silence [s] that is only counted. A longer one makes the verdict void."""
+
+LOST_S = 2.0
+"""Longest silence [s] of the counters, which come 5 times a second, before the end of a leg."""
+
+
+class Coverage(NamedTuple):
+    """The share of the judged time that the odometry of a UAV covers."""
+
+    missing: int  # messages missing of those sent, or of one per control period
+    longest_gap_s: float
+    gap_at_s: float  # where the longest gap begins, after the epoch
+
+
+def coverage(recording: Recording, uav: int) -> Coverage:
+    """Coverage of the time from the epoch to the end of the leg; both ends count as messages.
+
+    While the UAV does not belong to the formation it need not be heard.
+    """
+    track, start_ns, end_ns = recording.odometry[uav], recording.start_ns, recording.end_ns
+    longest_ns, at_ns, last_ns = -1, start_ns, start_ns
+    stamps = (block.t_ns for block in track.blocks(*track.span(start_ns, end_ns)))
+    for block in chain(stamps, [np.array([end_ns])]):
+        edges = np.concatenate(([last_ns], block))
+        gaps = edges[1:] - edges[:-1]
+        for absence in recording.members.absences[uav]:
+            gaps[(edges[1:] > absence.begin_ns) & (edges[:-1] < absence.end_ns)] = 0
+        longest = int(np.argmax(gaps))
+        if gaps[longest] > longest_ns:
+            longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
+        last_ns = int(edges[-1])
+    lost = missing(recording, uav, track)
+    return Coverage(lost, float(longest_ns) * NANO, float(at_ns - start_ns) * NANO)
+
+
+def missing(recording: Recording, uav: int, track: Track) -> int:
+    """Messages of a UAV that were sent and are not in `track`; real vehicles have rates of their own."""
+    sent = recording.sent.get(uav)
+    first_ns, last_ns = recording.start_ns, recording.end_ns
+    if sent is None:
+        # The total, not gap by gap: a late message and an early one after it are not a missing one.
+        expected = round((last_ns - first_ns) / recording.scenario.timing.dt_ns) + 1
+    else:
+        # From the last count before the epoch to the first count after the end: exact at both.
+        first = max(sent.index(first_ns, "right") - 1, 0)
+        last = min(sent.index(last_ns, "left"), sent.size - 1)
+        before, after = sent.rows(first, first + 1), sent.rows(last, last + 1)
+        expected = round(float(after.values[0, 0] - before.values[0, 0]))
+        first_ns, last_ns = before.last_ns + 1, after.last_ns
+    begin, end = track.span(first_ns, last_ns)
+    return max(expected - max(end - begin, 0), 0)
+
+
+def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -> str:
+    """The gaps of the recording of a UAV or of its leader, and an early end; empty when it is complete enough."""
+    holes = []
+    for name in dict.fromkeys((uav, recording.flown.leader.id)):
+        gap = covers[name]
+        if gap.longest_gap_s > LONGEST_GAP_S:
+            span = f"nothing on /uav{name}/odom for {gap.longest_gap_s:.2f} s"
+            holes.append(f"{span} from t = {gap.gap_at_s:.2f} s")
+    timing, end_ns = recording.scenario.timing, recording.end_ns
+    due_ns = recording.cut_off(recording.first_ns + timing.ticks * timing.dt_ns)
+    # A flight of n periods ends with message n - 1.
+    if (due_ns - timing.dt_ns - end_ns) * NANO > LONGEST_GAP_S:
+        first = min(recording.members.staying, key=lambda uav: recording.odometry[uav].last_ns)
+        lengths = (f"{(t_ns - recording.start_ns) * NANO:.2f} s" for t_ns in (end_ns, due_ns))
+        holes.append(f"/uav{first}/odom ends after {' of '.join(lengths)}")
+    return ", ".join(holes)
+
+
+def silent_from_s(recording: Recording, uav: int) -> float | None:
+    """Time after the epoch from which a UAV's process published no counters; None when it did to the end."""
+    counters = recording.counters.get(uav)
+    if counters is None or (recording.end_ns - counters.last_ns) * NANO <= LOST_S:
+        return None
+    return float(counters.last_ns - recording.start_ns) * NANO
+
+
+def first_bad_s(recording: Recording, track: Track | None) -> float | None:
+    """Time after the epoch of the first sample that is not finite; None when all are finite."""
+    if track is None:
+        return None
+    for block in track.blocks(*track.span(recording.start_ns, recording.end_ns)):
+        if np.isfinite(np.sum(block.values)):
+            continue  # a sum of finite numbers may be infinite, one with NaN or inf is never finite
+        bad = np.flatnonzero(~np.isfinite(block.values).all(axis=1))
+        if bad.size:
+            return float(block.t_ns[bad[0]] - recording.start_ns) * NANO
+    return None
+
 
 MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
 WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
@@ -30,53 +124,43 @@ MOST_EXCUSED = 0.5
 """Share of the time after the deadline that encounters may excuse at most."""
 
 _HELD = "held for {s:.2f} s, link stale"
+_NEAR = "near objects for {outside_s:.2f} s of the {after_s:.2f} s after the deadline"
 
 
 class Cause(Enum):
-    """Cause of a missed deadline: in words, and whether it voids the deadline."""
+    """Cause of a missed deadline: in words, and True where it voids the deadline."""
 
     # the recording does not show it
     LOST = "{membership}", True
     INCOMPLETE = "recording incomplete: {hole}", True
     ENDED = "recording ends after {end_s:.2f} s", True
-    STATE_NOT_FINITE = "state not finite from t = {t_s:.2f} s", False
-    ERROR_NOT_FINITE = "error not finite from t = {t_s:.2f} s", False
+    STATE_NOT_FINITE = "state not finite from t = {t_s:.2f} s"
+    ERROR_NOT_FINITE = "error not finite from t = {t_s:.2f} s"
     # the error
-    LEFT_AGAIN = "met at the deadline, but outside {band:.3f} m again until {until}", False
-    OUTSIDE = "outside {band:.3f} m until the end at {end_s:.2f} s", False
-    SETTLED_LATE = "settled after {t_s:.2f} s", False
-    TOO_LARGE = "error at the deadline above {tolerance:g} m", False
-    LATE_CHANGE = "{error:.3f} m off at {due_s:.2f} s, when {what} was due", False
-    NEAR_OBJECTS = (
-        "outside {band:.3f} m near objects for {outside_s:.2f} s of the {after_s:.2f} s after the deadline",
-        False,
-    )
+    LEFT_AGAIN = "met at the deadline, but outside {band:.3f} m again until {until}"
+    OUTSIDE = "outside {band:.3f} m until the end at {end_s:.2f} s"
+    SETTLED_LATE = "settled after {t_s:.2f} s"
+    TOO_LARGE = "error at the deadline above {tolerance:g} m"
+    LATE_CHANGE = "{error:.3f} m off at {due_s:.2f} s, when {what} was due"
+    NEAR_OBJECTS = f"outside {{band:.3f}} m {_NEAR}"
     # why an encounter does not excuse it
-    TOO_SHORT = (
-        "the limits allow no deadline below {shortest:.2f} s, which no encounter excuses",
-        False,
-    )
-    NEVER_OVER = "an encounter lasts over the deadline until the end", False
+    TOO_SHORT = "the limits allow no deadline below {shortest:.2f} s, which no encounter excuses"
+    NEVER_OVER = "an encounter lasts over the deadline until the end"
     NOT_BACK_WHEN_DUE = (
-        "{error:.3f} m off at {due_s:.2f} s, when it had to be back after an encounter{promise}",
-        False,
+        "{error:.3f} m off at {due_s:.2f} s, when it had to be back after an encounter{promise}"
     )
     BACK_AND_AWAY = (
-        "back at {due_s:.2f} s after an encounter, but outside {band:.3f} m again until {until}",
-        False,
+        "back at {due_s:.2f} s after an encounter, but outside {band:.3f} m again until {until}"
     )
-    NOT_BACK = "not back after an encounter{promise}", False
+    NOT_BACK = "not back after an encounter{promise}"
     # what happened before
     SILENT = "UAV {uav} silent from {t_s:.2f} s", True
-    HELD = _HELD, False
-    HELD_WITHOUT_LOSS = (
-        _HELD,
-        True,
-    )  # messages were late, and the scenario neither loses nor delays any
-    DEADLOCK = "in a deadlock for {s:.2f} s, avoidance left no way", False
-    SATURATED = "at a limit of speed, acceleration or thrust for {s:.2f} s", False
+    HELD = _HELD
+    HELD_WITHOUT_LOSS = _HELD, True  # messages were late: the scenario neither loses nor delays any
+    DEADLOCK = "in a deadlock for {s:.2f} s, avoidance left no way"
+    SATURATED = "at a limit of speed, acceleration or thrust for {s:.2f} s"
 
-    def __init__(self, words: str, voids: bool) -> None:
+    def __init__(self, words: str, voids: bool = False) -> None:
         self.words, self.voids = words, voids
 
     def because(self, **figures: Any) -> Reason:
@@ -113,9 +197,8 @@ class UavVerdict:
     rmse_after_m: float | None  # after the deadline, outside encounters
     encounter_s: float  # time inside encounters
     excused_outside_s: float  # of it: after the deadline and outside the band
-    regained_s: (
-        float | None
-    )  # longest time from the end of an encounter until back in the band; None: none
+    # longest time from the end of an encounter until back in the band; None: none
+    regained_s: float | None
     recovery_s: float | None  # the promise for it
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
@@ -123,28 +206,14 @@ class UavVerdict:
     longest_gap_s: float  # between two odometry messages
     membership: str  # when it came and went, empty when it was there all the time
     lost: bool  # at the end; the others go on without it, so it does not count for the flight
-    changes: tuple[
-        ChangeError, ...
-    ]  # those of the shape, or legs of a mission, that were due in this leg, after its deadline
+    # those of the shape, or legs of a mission, that were due in this leg, after its deadline
+    changes: tuple[ChangeError, ...]
 
 
-def judge(
-    recording: Recording,
-    uav: int,
-    figures: ErrorFigures,
-    covers: Mapping[int, Coverage],
-    intrusion: str = "",
-) -> UavVerdict:
-    """The verdict on one UAV.
-
-    Args:
-        recording: the leg.
-        uav: the UAV.
-        figures: its formation error over the whole leg.
-        covers: coverage of the odometry of every UAV.
-        intrusion: the keep-outs that it entered, in words; empty when it entered none.
-    """
-    reasons = _reasons(recording, uav, figures, covers)
+def judge(figures: ErrorFigures, covers: Mapping[int, Coverage], intrusion: str = "") -> UavVerdict:
+    """The verdict on one UAV, by its error over the whole leg; `intrusion`: the keep-outs that it entered, in words."""
+    recording, uav = figures.recording, figures.uav
+    reasons = _reasons(figures, covers)
     membership, causes = recording.members.text(uav), {reason.cause for reason in reasons}
     if intrusion:
         verdict = VIOLATED
@@ -154,7 +223,6 @@ def judge(
         verdict = MISSED if reasons else MET
     not_finite = causes & {Cause.STATE_NOT_FINITE, Cause.ERROR_NOT_FINITE}
     regain, start, at = figures.longest_regain(), figures.start_error, figures.at_deadline
-    until_deadline = (0.0, figures.deadline_s)
     return UavVerdict(
         uav=uav,
         slot=recording.slots.get(recording.start_ns, {}).get(uav, uav),
@@ -176,8 +244,8 @@ def judge(
         excused_outside_s=figures.excused_outside_s,
         regained_s=None if regain is None else regain.took_s,
         recovery_s=None if regain is None else regain.promised_s,
-        saturated_s=_rise(recording, uav, "saturated_s", until_deadline),
-        holding_s=_rise(recording, uav, "holding_s", until_deadline),
+        saturated_s=figures.rise("saturated_s", 0.0, figures.deadline_s),
+        holding_s=figures.rise("holding_s", 0.0, figures.deadline_s),
         missing=covers[uav].missing,
         longest_gap_s=covers[uav].longest_gap_s,
         membership=membership,
@@ -186,10 +254,9 @@ def judge(
     )
 
 
-def _reasons(
-    recording: Recording, uav: int, figures: ErrorFigures, covers: Mapping[int, Coverage]
-) -> list[Reason]:
+def _reasons(figures: ErrorFigures, covers: Mapping[int, Coverage]) -> list[Reason]:
     """Why the deadline was not met; empty when it was, whatever the UAV came near to."""
+    recording, uav = figures.recording, figures.uav
     tracks = recording.odometry[uav], recording.wrench.get(uav)
     bad = [t_s for track in tracks if (t_s := first_bad_s(recording, track)) is not None]
     if bad:
@@ -200,23 +267,28 @@ def _reasons(
     if recording.members.lost(uav):
         return [Cause.LOST.because(membership=recording.members.text(uav))]
     ended = figures.at_deadline is None
-    miss = [] if ended else _miss(recording, uav, figures)
+    miss = [] if ended else _miss(figures)
     if hole := incomplete(recording, uav, covers):
         return [Cause.INCOMPLETE.because(hole=hole), *miss]
     if ended:
         return [Cause.ENDED.because(end_s=figures.end_s)]
-    return [*miss, *_before(recording, uav, figures)] if miss else []
+    return [*miss, *_before(figures)] if miss else []
 
 
-def _miss(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reason]:
+def _miss(figures: ErrorFigures) -> list[Reason]:
     """By how much the deadline was missed, and why no encounter excuses that; empty when it was met."""
-    late = _late(figures) or _late_change(figures)
+    late = _late(figures)
+    for change in figures.at_changes if late is None else ():
+        error = change.error_m
+        if error is not None and not change.excused and error > figures.tolerance:
+            late = Cause.LATE_CHANGE.because(error=error, due_s=change.due_s, what=change.what)
+            break
     if late is not None:
         if figures.due_s > figures.deadline_s:
-            inexcusable = _too_short(recording, uav, figures) or _unrecovered(figures)
+            inexcusable = _too_short(figures) or _unrecovered(figures)
             if inexcusable is not None:
                 return [late, inexcusable]
-        elif _left_again(figures) and (promise := _broken_promise(figures)):
+        elif figures.left_again and (promise := _broken_promise(figures)):
             return [late, Cause.NOT_BACK.because(promise=promise)]
         else:
             return [late]
@@ -227,13 +299,6 @@ def _miss(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reason]
     return []
 
 
-def _left_again(figures: ErrorFigures) -> bool:
-    """True if the error met the tolerance at the deadline and left the band after it."""
-    at, settled = figures.at_deadline, figures.settling_s
-    late = settled is None or settled > figures.deadline_s
-    return late and at is not None and at <= figures.tolerance
-
-
 def _until(t_s: float | None) -> str:
     return "the end" if t_s is None else f"{t_s:.2f} s"
 
@@ -241,7 +306,7 @@ def _until(t_s: float | None) -> str:
 def _late(figures: ErrorFigures) -> Reason | None:
     """By how much the deadline was missed when nothing excuses it; None when it was met."""
     settled, at = figures.settling_s, figures.at_deadline
-    if _left_again(figures):
+    if figures.left_again:
         return Cause.LEFT_AGAIN.because(band=figures.band, until=_until(settled))
     if settled is None:
         return Cause.OUTSIDE.because(band=figures.band, end_s=figures.end_s)
@@ -252,31 +317,20 @@ def _late(figures: ErrorFigures) -> Reason | None:
     return None
 
 
-def _late_change(figures: ErrorFigures) -> Reason | None:
-    """The first change of the shape that came about too late; None when none did."""
-    for change in figures.at_changes:
-        error = change.error_m
-        if error is not None and not change.excused and error > figures.tolerance:
-            return Cause.LATE_CHANGE.because(error=error, due_s=change.due_s, what=change.what)
-    return None
-
-
-def _too_short(recording: Recording, uav: int, figures: ErrorFigures) -> Reason | None:
+def _too_short(figures: ErrorFigures) -> Reason | None:
     """The deadline that the limits of the vehicle allow from where it was at the epoch, when that is longer.
 
     A UAV that came later has its own deadline.
     """
+    recording, uav = figures.recording, figures.uav
     flown, start_ns = recording.flown, recording.start_ns
     there = recording.members.at(start_ns)
     if not {uav, flown.leader.id} <= there:
         return None
     at = recording.at(np.array([start_ns]))
     begin_s = float(seconds(at.stamps, recording.first_ns)[0])
-    starts = EpochPlaces(
-        {other: at.positions[other][0] for other in there},
-        {other: other for other in there},
-        begin_s,
-    )
+    places = {other: at.positions[other][0] for other in there}
+    starts = EpochPlaces(places, {other: other for other in there}, begin_s)
     shortest = shortest_from(flown, starts, uav)
     if shortest is None or shortest <= figures.deadline_s:
         return None
@@ -304,20 +358,12 @@ def _broken_promise(figures: ErrorFigures) -> str:
     return f" that ended at {regain.over_s:.2f} s, in {regain.promised_s:.2f} s"
 
 
-def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
-    """Rise of a counter between two times after the epoch."""
-    counters = recording.counters.get(uav)
-    if counters is None:
-        return 0.0
-    begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
-    return counter_rise(counters, name, begin, end)
-
-
-def _before(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reason]:
+def _before(figures: ErrorFigures) -> list[Reason]:
     """What happened before a missed deadline or a late exit."""
+    recording, uav = figures.recording, figures.uav
     scenario, leader = recording.scenario, recording.flown.leader.id
     span = (0.0, figures.due_s)
-    if _left_again(figures):
+    if figures.left_again:
         settled = figures.settling_s
         span = (figures.deadline_s, figures.end_s if settled is None else settled)
     needed = dict.fromkeys([*ancestors(recording.flown, uav), leader])
@@ -334,14 +380,14 @@ def _before(recording: Recording, uav: int, figures: ErrorFigures) -> list[Reaso
         ("deadlock_s", Cause.DEADLOCK),
         ("saturated_s", Cause.SATURATED),
     ):
-        rise = _rise(recording, uav, name, span)
+        rise = figures.rise(name, *span)
         if rise > 0:
             reasons.append(cause.because(s=rise))
     return reasons
 
 
 def _excuse(figures: ErrorFigures, membership: str) -> str:
-    """What a met deadline owes to encounters, in words; empty when nothing."""
+    """The encounters that excuse a met deadline, in words; empty when it needs no excuse."""
     late = _late(figures) is not None
     if not late and not figures.excused_outside_s:
         return membership

@@ -27,8 +27,7 @@ from ptnsbc_sim.scenario.constants import recovery_config
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
-from ptnsbc_sim.verdict.members import by_phase
-from ptnsbc_sim.verdict.recording import Recording
+from ptnsbc_sim.verdict.recording import Recording, by_phase
 from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, is_cut_short
 from ptnsbc_sim.verdict.encounters import Encounter, inside
-from ptnsbc_sim.verdict.recording import NANO, Instants, Recording
+from ptnsbc_sim.verdict.recording import NANO, Instants, Recording, counter_rise
 from ptnsbc_sim.verdict.track import ValueAt, max_of
 
 SHARE_OF_START = 0.02
@@ -35,20 +34,18 @@ class ChangeError:
     excused: bool  # an encounter lasts over it
 
 
-class _LastExit:
-    """The last time at which a curve entered its band, for samples that arrive block by block."""
+def _entered(
+    before_s: float | None, times: Array, outside: NDArray[np.bool_], first: int = 0
+) -> float | None:
+    """The last time at which a curve entered its band, with the next samples (T,); None: it ends outside.
 
-    def __init__(self) -> None:
-        self.entered_s: float | None = 0.0  # None: it ends outside
-
-    def add(self, times: Array, outside: NDArray[np.bool_], first: int = 0) -> None:
-        """Take the next samples (T,); before number `first` none is outside."""
-        if self.entered_s is None:
-            self.entered_s = float(times[0])
-        latest_first = outside[first:][::-1]
-        if latest_first.any():
-            after = times.size - int(latest_first.argmax())
-            self.entered_s = float(times[after]) if after < times.size else None
+    `before_s` is that of the samples before; before number `first` none is outside.
+    """
+    latest_first = outside[first:][::-1]
+    if latest_first.any():
+        after = times.size - int(latest_first.argmax())
+        return float(times[after]) if after < times.size else None
+    return float(times[0]) if before_s is None else before_s
 
 
 @dataclass
@@ -57,9 +54,8 @@ class Regain:
 
     over_s: float  # when nothing kept it from its place any more
     promised_s: float  # recovery time: so long after it the UAV has to be back
-    outside_s: float | None = (
-        None  # the last time outside the band, until the recovery time is over
-    )
+    # the last time outside the band, until the recovery time is over
+    outside_s: float | None = None
 
     @property
     def took_s(self) -> float:
@@ -68,19 +64,12 @@ class Regain:
 
 
 class ErrorFigures:
-    """Figures of the formation error of one UAV, which arrives block by block.
-
-    Args:
-        recording: the leg.
-        uav: the UAV.
-        windows: encounters of the UAV.
-        tolerance: limit of the error at the deadline [m].
-    """
+    """Figures of the formation error of one UAV, which arrives block by block; `windows` are its encounters."""
 
     def __init__(
         self, recording: Recording, uav: int, windows: list[Encounter], tolerance: float
     ) -> None:
-        self._recording = recording
+        self.recording, self.uav = recording, uav
         deadline = recording.scenario.gains.formation.deadline_s
         self.deadline_s = deadline
         self._windows = windows
@@ -96,7 +85,10 @@ class ErrorFigures:
             if back_s > deadline
         ]
         self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
-        self._settled, self._regained = _LastExit(), _LastExit()
+        # When the error entered the band for good, without later encounters; None: it ends outside.
+        self.settling_s: float | None = 0.0
+        # After which time past the deadline it is in the band outside encounters; None: never.
+        self.regained_s: float | None = 0.0
         self._changes = _changes_due(recording, self._windows)
         due_ns = recording.start_ns + round(deadline / NANO)
         self.absent_s = sum(
@@ -121,52 +113,44 @@ class ErrorFigures:
             self.start_error = float(error[0])
             self.band = max(self.tolerance, SHARE_OF_START * self.start_error)
         due = int(times.searchsorted(self.deadline_s - _EXACT_S))
-        outside = error > self.band
+        outside = late = unexcused = np.asarray(error > self.band)
+        after = error[due:]
         if self._windows:
             near = inside(self._windows, block.stamps)
-            self._settled.add(times, outside & ~inside(self._later, block.stamps))
-            self._regained.add(times, outside & ~near, due)
-            self._take_after(error[due:], error[due:][~near[due:]])
-            self._take_encounters(times, outside, near, due)
-        else:
-            self._settled.add(times, outside)
-            self._regained.add(times, outside, due)
-            self._take_after(error[due:], error[due:])
+            late, unexcused = outside & ~inside(self._later, block.stamps), outside & ~near
+            after = after[~near[due:]]
+            period = np.diff(times, prepend=self._last[:1])
+            fresh = times.size - period.size  # the first sample of all has no period
+            self.encounter_s += float(np.sum(period[near[fresh:]]))
+            excused = near & outside
+            excused[:due] = False
+            self.excused_outside_s += float(np.sum(period[excused[fresh:]]))
+        self.settling_s = _entered(self.settling_s, times, late)
+        self.regained_s = _entered(self.regained_s, times, unexcused, due)
+        if error[due:].size:
+            self.max_after_all = _larger(self.max_after_all, error[due:])
+        if after.size:
+            self.max_after = _larger(self.max_after, after)
+            self._squares += float(np.sum(after**2))
+            self._after += after.size
         self._at.add(times, error)
         self._at_due.add(times, error)
         for _, at in self._changes:
             at.add(times, error)
         for one in self.regains:
             span = (times >= one.over_s) & (times <= one.over_s + one.promised_s + _EXACT_S)
-            late = np.flatnonzero(outside & span)
-            if late.size:
-                one.outside_s = float(times[late[-1]])
+            there = np.flatnonzero(outside & span)
+            if there.size:
+                one.outside_s = float(times[there[-1]])
         finite = np.isfinite(error)
         if self.not_finite_s is None and not finite.all():
             self.not_finite_s = float(times[int(np.argmin(finite))])
         self._last = np.array([times[-1], error[-1]])
 
-    def _take_encounters(
-        self, times: Array, outside: NDArray[np.bool_], near: NDArray[np.bool_], due: int
-    ) -> None:
-        """The samples (T,) that are inside encounters; those from number `due` on are after the deadline."""
-        period = np.diff(times, prepend=self._last[:1])
-        fresh = times.size - period.size  # the first sample of all has no period
-        self.encounter_s += float(np.sum(period[near[fresh:]]))
-        excused = near & outside
-        excused[:due] = False
-        self.excused_outside_s += float(np.sum(period[excused[fresh:]]))
-
-    def _take_after(self, error: Array, after: Array) -> None:
-        """Errors after the deadline, and those of them outside encounters."""
-        if error.size:
-            before = -np.inf if self.max_after_all is None else self.max_after_all
-            self.max_after_all = max_of(before, error.max())
-        if after.size:
-            largest = after.max() if self.max_after is None else max_of(self.max_after, after.max())
-            self.max_after = float(largest)
-            self._squares += float(np.sum(after**2))
-            self._after += after.size
+    def rise(self, name: str, begin_s: float, end_s: float) -> float:
+        """Rise of a counter of the UAV between two times after the epoch."""
+        begin_ns, end_ns = (self.recording.start_ns + round(t / NANO) for t in (begin_s, end_s))
+        return counter_rise(self.recording, self.uav, name, begin_ns, end_ns)
 
     @property
     def end_s(self) -> float:
@@ -174,18 +158,15 @@ class ErrorFigures:
         return float(self._last[0])
 
     @property
-    def settling_s(self) -> float | None:
-        """The time when the error entered the band for good; later encounters are left out. None: it ends outside."""
-        return self._settled.entered_s
-
-    @property
-    def regained_s(self) -> float | None:
-        """After which time past the deadline the error is in the band outside encounters; None: never."""
-        return self._regained.entered_s
+    def left_again(self) -> bool:
+        """True if the error met the tolerance at the deadline and left the band after it."""
+        at, settled = self.at_deadline, self.settling_s
+        late = settled is None or settled > self.deadline_s
+        return late and at is not None and at <= self.tolerance
 
     def unregained(self) -> Regain | None:
         """The first encounter after which the place was not regained in the recovery time; None: none."""
-        period_s = self._recording.scenario.timing.dt_ns * NANO
+        period_s = self.recording.scenario.timing.dt_ns * NANO
         for one in self.regains:
             if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
                 return one
@@ -219,32 +200,36 @@ class ErrorFigures:
         return float(np.sqrt(self._squares / self._after)) if self._after else None
 
 
-def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
-    """Number, name and due time [s] of the legs after the first, or of the changes of the shape without a mission."""
-    if scenario.mission is not None:
-        return [
-            (one.number, f"leg {one.name}", one.due_s)
-            for one in scenario.legs
-            if one.number != FIRST
-            and not isinstance(one.leg, LandLeg)
-            and not is_cut_short(scenario.legs, one)
-        ]
-    return [
-        (number, f"change {number} of the shape", change.at_s + change.over_s)
-        for number, change in enumerate(scenario.formation.changes, 1)
-    ]
+def _larger(before: float | None, values: Array) -> float:
+    """The largest of the values (T,), and of those before; NaN when one of them is."""
+    return max_of(-np.inf if before is None else before, values.max())
 
 
 def _changes_due(
     recording: Recording, windows: list[Encounter]
 ) -> list[tuple[ChangeError, ValueAt]]:
-    """The changes that are due after the deadline of a leg in formation; it counts from the first epoch."""
-    scenario, found = recording.scenario, []
+    """The changes that are due after the deadline of a leg in formation; it counts from the first epoch.
+
+    They are the legs of the mission after the first, or without a mission the changes of the shape.
+    """
+    scenario, changes = recording.scenario, []
+    dues = [
+        (number, f"change {number} of the shape", change.at_s + change.over_s)
+        for number, change in enumerate(scenario.formation.changes, 1)
+    ]
+    if scenario.mission is not None:
+        dues = [
+            (leg.number, f"leg {leg.name}", leg.due_s)
+            for leg in scenario.legs
+            if leg.number != FIRST
+            and not isinstance(leg.leg, LandLeg)
+            and not is_cut_short(scenario.legs, leg)
+        ]
     before_s = (recording.start_ns - recording.first_ns) * NANO
-    for number, what, due_s in _dues(scenario):
+    for number, what, due_s in dues:
         if due_s - before_s <= scenario.gains.formation.deadline_s:
             continue
         due_ns = recording.first_ns + round(due_s / NANO)
         excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
-        found.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
-    return found
+        changes.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
+    return changes

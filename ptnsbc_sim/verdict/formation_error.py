@@ -10,8 +10,7 @@ from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.verdict.members import by_phase
-from ptnsbc_sim.verdict.recording import Instants, Recording, seconds
+from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds
 from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of
 
 

@@ -5,20 +5,168 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_sim.counters import COUNTERS
+from ptnsbc_sim.counters import COUNTERS, counters_of, status_every
+from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
-from ptnsbc_sim.scenario.slots import with_slots
-from ptnsbc_sim.verdict.members import Members, Phase
-from ptnsbc_sim.verdict.track import Track
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
+from ptnsbc_sim.scenario.slots import Formations, Membership, changed, with_slots
+from ptnsbc_sim.verdict.track import Series, Track
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.swarm import HeadlessFlight
+
+
+_NANO = 1e-9
+
+
+class Absence(NamedTuple):
+    """A span in which a UAV did not belong to the formation."""
+
+    begin_ns: int
+    end_ns: int  # NEVER_NS: it did not come back
+    planned: bool  # by the scenario; else it was silent
+    noticed_ns: int  # when the others go on without it
+
+    @property
+    def for_good(self) -> bool:
+        """True if the UAV did not come back."""
+        return self.end_ns >= NEVER_NS
+
+    def text(self, first_ns: int) -> str:
+        """In words; times in seconds after the first epoch."""
+        begin, end = ((t_ns - first_ns) * _NANO for t_ns in (self.begin_ns, self.end_ns))
+        if self.for_good:
+            return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
+        return (
+            f"joined at {end:.2f} s"
+            if self.planned
+            else f"lost at {begin:.2f} s, back at {end:.2f} s"
+        )
+
+
+class Phase(NamedTuple):
+    """A span in which the graph does not change; it lasts until the next one begins."""
+
+    begin_ns: int
+    scenario: Scenario
+    absent: frozenset[int]
+    moved: frozenset[int]  # UAVs with another parent, slot or lead than in the phase before
+
+
+def absences(
+    scenario: Scenario, tracks: Mapping[int, Track], first_ns: int
+) -> dict[int, tuple[Absence, ...]]:
+    """The absences of every UAV; none unless UAVs may come and go."""
+    found: dict[int, tuple[Absence, ...]] = {uav: () for uav in scenario.uav_ids}
+    if not scenario.formation.reconfigures:
+        return found
+    last_ns = max((track.last_ns for track in tracks.values() if track.size), default=first_ns)
+    last_ns = min(
+        last_ns, first_ns + scenario.timing.ticks * scenario.timing.dt_ns
+    )  # processes go on until all have landed
+    for uav in scenario.uav_ids:
+        spans = []
+        if scenario.uav(uav).joins_ns:
+            spans.append(Absence(first_ns, first_ns + scenario.uav(uav).joins_ns, True, first_ns))
+        left_ns = first_ns + scenario.uav(uav).leaves_ns
+        if left_ns <= last_ns:
+            spans.append(Absence(left_ns, NEVER_NS, True, left_ns))
+        if uav in tracks:
+            silences = _silences(scenario, tracks[uav], first_ns, last_ns)
+            # Through bridges one that has left is silent when it has landed.
+            spans += [one for one in silences if one.begin_ns < left_ns]
+        found[uav] = tuple(sorted(spans))
+    return found
+
+
+def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
+    stale_ns, dt_ns = round(scenario.communication.stale_s / _NANO), scenario.timing.dt_ns
+    spans, last = [], first_ns
+
+    def silence(heard_ns: int, again_ns: int) -> Absence:
+        return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
+
+    for block in track.blocks():
+        inside = (block.t_ns > last) & (block.t_ns <= last_ns)
+        stamps = np.concatenate(([last], block.t_ns[inside]))
+        for k in np.flatnonzero(np.diff(stamps) > stale_ns):
+            spans.append(silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns))
+        last = max(int(stamps[-1]), last)
+    if last_ns - last > stale_ns:
+        spans.append(silence(last, NEVER_NS))
+    return spans
+
+
+class Members:
+    """The members of the formation over a flight: nobody comes or goes unless the scenario says that UAVs may.
+
+    `tracks` hold what each UAV sent at every tick; UAVs without a track count as there.
+    """
+
+    def __init__(self, scenario: Scenario, tracks: Mapping[int, Track], first_ns: int) -> None:
+        self.absences = absences(scenario, tracks, first_ns)
+        self._first_ns = first_ns
+
+    @property
+    def staying(self) -> tuple[int, ...]:
+        """The UAVs that have not gone for good; all when nobody stays."""
+        gone = {uav for uav, away in self.absences.items() if away and away[-1].for_good}
+        return tuple(uav for uav in self.absences if uav not in gone) or tuple(self.absences)
+
+    def at(self, t_ns: int) -> set[int]:
+        """The UAVs that belonged to the formation at an instant [ns]."""
+        return {
+            uav
+            for uav, away in self.absences.items()
+            if not any(span.begin_ns <= t_ns < span.end_ns for span in away)
+        }
+
+    def lost(self, uav: int) -> bool:
+        """True if a UAV was lost in flight and did not come back."""
+        away = self.absences[uav]
+        return bool(away) and away[-1].for_good and not away[-1].planned
+
+    def text(self, uav: int) -> str:
+        """Times at which a UAV came and went, in words; empty when it was there all the time."""
+        return ", ".join(span.text(self._first_ns) for span in self.absences[uav])
+
+    def phases(self, scenario: Scenario) -> tuple[Phase, ...]:
+        """The phases of the flight of a scenario with the slots that the UAVs took."""
+        phases = [Phase(self._first_ns, scenario, frozenset(), frozenset())]
+        spans = [(uav, span) for uav, away in self.absences.items() for span in away]
+        if not spans:
+            return tuple(phases)
+        formations, before = Formations(scenario), scenario
+        instants = {t_ns for _, span in spans for t_ns in (span.noticed_ns, span.end_ns)}
+        for t_ns in sorted(instants - {NEVER_NS}):
+            absent = frozenset(uav for uav, span in spans if span.noticed_ns <= t_ns < span.end_ns)
+            earlier = frozenset(uav for uav, span in spans if span.noticed_ns <= t_ns)
+            after = formations.of(Membership(absent, earlier - absent)) or before
+            there = set(scenario.uav_ids) - absent - phases[-1].absent
+            moved = frozenset(uav for uav in there if changed(before, after, uav)[0])
+            phases.append(Phase(t_ns, after, absent, moved))
+            before = after
+        begins_anew = len(phases) > 1 and phases[1].begin_ns == self._first_ns
+        return tuple(phases[1:] if begins_anew else phases)
+
+
+def by_phase(phases: Sequence[Phase], stamps: NDArray[np.int64]) -> Iterator[tuple[Phase, slice]]:
+    """The phases of instants (T,) [ns], ascending, and which instants are in each."""
+    cuts = np.searchsorted(stamps, [phase.begin_ns for phase in phases[1:]]).tolist()
+    for phase, (first, end) in zip(phases, pairwise([0, *cuts, len(stamps)]), strict=True):
+        if first < end:
+            yield phase, slice(first, end)
+
 
 NANO = 1e-9
 FORMATION = "form"  # name of the legs that have a deadline
@@ -52,11 +200,7 @@ def with_said(scenario: Scenario, epochs: Epochs) -> tuple[Scenario, Epochs]:
 
 
 def with_taken(scenario: Scenario, epochs: Epochs, taken: Sequence[tuple[int, Array]]) -> Scenario:
-    """The scenario whose leader follows the setpoints that it has taken in flight: from when [ns], and (13,) each.
-
-    Raises:
-        VerdictError: the leader cannot have followed them.
-    """
+    """The scenario whose leader follows the setpoints that it has taken in flight: from when [ns], and (13,) each."""
     first_ns = first_formation_ns(epochs)
     if not taken or first_ns is None or not scenario.takes_setpoints:
         return scenario
@@ -130,11 +274,7 @@ class Recording:
 
     @cached_property
     def flown(self) -> Scenario:
-        """The scenario with the slots that the UAVs took in this leg.
-
-        Raises:
-            VerdictError: the slots are open, and those of this leg are not recorded.
-        """
+        """The scenario with the slots that the UAVs took; VerdictError when they are open and not recorded."""
         if not self.scenario.formation.has_open_slots:
             return self.scenario
         if self.start_ns not in self.slots:
@@ -199,11 +339,7 @@ class Recording:
         return Instants(stamps, seconds(stamps, self.start_ns), positions)
 
     def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Instants]:
-        """The instants of the clock between two times, both included: by default those of the leg.
-
-        Raises:
-            VerdictError: the leg is asked for, and nothing of it is recorded.
-        """
+        """The instants between two times, both included, by default those of the leg; VerdictError when it has none."""
         if start_ns is None and self.samples < 2:
             raise VerdictError(
                 "the recording holds no formation flight: expected odometry of the leader after "
@@ -220,18 +356,18 @@ def whole(recording: Recording) -> Instants:
     return recording.at(np.concatenate([block.stamps for block in recording.blocks()]))
 
 
-def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
-    """Rise of a counter between two instants."""
-    column = COUNTERS.index(name)
-
-    def before(end: int) -> float:
-        return float(counters.rows(end - 1, end).values[0, column])
-
-    last = counters.index(end_ns, "right")
-    if not last:
+def counter_rise(recording: Recording, uav: int, name: str, start_ns: int, end_ns: int) -> float:
+    """Rise of a counter of a UAV between two instants; 0 where none is recorded."""
+    counters, column = recording.counters.get(uav), COUNTERS.index(name)
+    last = 0 if counters is None else counters.index(end_ns, "right")
+    if counters is None or not last:
         return 0.0
     first = counters.index(start_ns, "left") if start_ns > counters.first_ns else 0
-    return max(before(last) - (before(first) if first else 0.0), 0.0)
+    at_end, at_start = (
+        float(counters.rows(end - 1, end).values[0, column]) if end else 0.0
+        for end in (last, first)
+    )
+    return max(at_end - at_start, 0.0)
 
 
 def require_all_uavs(recording: Recording) -> None:
@@ -240,6 +376,37 @@ def require_all_uavs(recording: Recording) -> None:
     if missing:
         names = ", ".join(f"/uav{uav}/odom" for uav in missing)
         raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
+
+
+def recording_of(flight: HeadlessFlight) -> Recording:
+    """The input of a verdict from a headless flight, without a bag."""
+    scenario, track, rows = flight.scenario, flight.track, list(enumerate(flight.scenario.uav_ids))
+    start_ns = int(flight.t_ns[0])
+    silent = gone(scenario)  # a UAV whose process is dead sends nothing
+
+    def all_of(values: Array) -> dict[int, Series]:
+        return {uav: Series(flight.t_ns, values[:, row]) for row, uav in rows}
+
+    def sent(values: Array, every: int = 1) -> dict[int, Series]:
+        """Tracks of values (T / every, N, ...) without those of silent ticks."""
+        t_ns, missing = flight.t_ns[::every], silent[::every]
+        return {
+            uav: Series(t_ns[~missing[:, row]], values[~missing[:, row], row])
+            if missing[:, row].any()
+            else Series(t_ns, values[:, row])
+            for row, uav in rows
+        }
+
+    return Recording(
+        scenario=scenario,
+        odometry=all_of(track.odometry),
+        wrench=sent(track.wrench),
+        estimate=sent(track.estimate),
+        truth=all_of(track.truth) if len(track.truth) else {},
+        counters=sent(counters_of(track.diagnostics, scenario), status_every(scenario)),
+        epochs=with_landing(scenario, ((start_ns, FORMATION),)),
+        slots={start_ns: flight.slots} if flight.slots else {},
+    )
 
 
 def tolerance_of(recording: Recording, given: float | None) -> float:

@@ -96,11 +96,11 @@ class Separations:
     def results(self) -> list[Separation]:
         """All pairs, the smallest margin first."""
         pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
-        return _tightest_first(pair.separation() for pair in pairs)
+        return sorted((pair.separation() for pair in pairs), key=_room)
 
 
-def _tightest_first(pairs: Iterable[Separation]) -> list[Separation]:
-    return sorted(pairs, key=lambda pair: pair.distance_m - pair.keep_out_m)
+def _room(pair: Separation) -> float:
+    return pair.distance_m - pair.keep_out_m
 
 
 def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
@@ -114,7 +114,7 @@ def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
                 nearer = min(before, pair, key=lambda one: one.distance_m)
                 pair = replace(nearer, inside_s=before.inside_s + pair.inside_s)
             found[key] = pair
-    return _tightest_first(found.values())
+    return sorted(found.values(), key=_room)
 
 
 def intrusion(separations: Iterable[Separation], uav: int) -> str:
@@ -123,7 +123,7 @@ def intrusion(separations: Iterable[Separation], uav: int) -> str:
     entered = [one for one in separations if one.entered and name in (one.first, one.second)]
     if not entered:
         return ""
-    deepest = min(entered, key=lambda one: one.distance_m - one.keep_out_m)
+    deepest = min(entered, key=_room)
     other = deepest.second if deepest.first == name else deepest.first
     text = (
         f"{deepest.distance_m:.3f} m from {other} at {deepest.at_s:.2f} s, inside the keep-out of "

@@ -15,7 +15,6 @@ import numpy as np
 
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
-from ptnsbc_sim.verdict.coverage import coverages
 from ptnsbc_sim.verdict.deadline import (
     MET,
     MISSED,
@@ -23,16 +22,13 @@ from ptnsbc_sim.verdict.deadline import (
     VOID,
     WORST_FIRST,
     UavVerdict,
+    coverage,
     judge,
+    missing,
 )
-from ptnsbc_sim.verdict.effort import Effort, effort
 from ptnsbc_sim.verdict.encounters import encounters
 from ptnsbc_sim.verdict.error_figures import ErrorFigures
-from ptnsbc_sim.verdict.formation_error import (
-    EstimatorError,
-    EstimatorErrors,
-    formation_errors,
-)
+from ptnsbc_sim.verdict.formation_error import EstimatorError, EstimatorErrors, formation_errors
 from ptnsbc_sim.verdict.recording import (
     FORMATION,
     NANO,
@@ -40,9 +36,80 @@ from ptnsbc_sim.verdict.recording import (
     VerdictError,
     counter_rise,
     require_all_uavs,
+    seconds,
     tolerance_of,
 )
 from ptnsbc_sim.verdict.separation import Separation, Separations, intrusion, joined
+from ptnsbc_sim.verdict.track import BLOCK, lengths, max_of
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The input that one UAV commanded."""
+
+    uav: int
+    initial_input: float  # |(force, torque)| at the epoch [N, N m]
+    initial_above_hover_n: float  # force at the epoch minus the weight
+    peak_input: float  # largest |(force, torque)|
+    peak_force_n: float
+    peak_at_s: float
+    energy: float  # integral of |u|^2 (54) [N^2 s]
+    energy_above_hover: float  # the same of the force above the weight, and of the torque
+    missing: int  # wrench messages missing of one per odometry sent or per control period
+
+
+def effort(recording: Recording, uav: int) -> Effort | None:
+    """Input figures of one UAV; None when its wrench was not recorded in the judged time.
+
+    An input acts until the next one that is recorded: a missing message takes no time out of an integral.
+    """
+    track = recording.wrench.get(uav)
+    if track is None:
+        return None
+    scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
+    weight = scenario.vehicle(uav).mass_kg * scenario.world.gravity_m_s2
+    initial: tuple[float, float] | None = None  # |u| and force at the epoch
+    peak = peak_force = -np.inf
+    peak_at_s = energy = above_hover = 0.0
+    # The last input before the epoch acts at the epoch.
+    first, end = max(track.index(start_ns, "right") - 1, 0), track.index(end_ns, "right")
+    for begin in range(first, end, BLOCK):
+        last = min(begin + BLOCK, end)
+        block = track.rows(begin, last)
+        next_ns = track.rows(last, last + 1).first_ns if last < end else end_ns
+        values = np.asfortranarray(block.values)  # axis by axis in memory
+        force, torque = lengths(values[:, :3]), lengths(values[:, 3:])
+        edges = np.concatenate((block.t_ns, [next_ns])).clip(start_ns, end_ns)
+        lasting_s = (edges[1:] - edges[:-1]) * NANO
+        square = torque**2
+        energy += float(np.sum((force**2 + square) * lasting_s))
+        above_hover += float(np.sum(((force - weight) ** 2 + square) * lasting_s))
+        inside = block.index(start_ns, "left")
+        if inside == block.size:
+            continue
+        force, torque = force[inside:], torque[inside:]
+        whole = np.hypot(force, torque)
+        if initial is None:
+            initial = float(whole[0]), float(force[0])
+        peak_force = max_of(peak_force, force.max())
+        highest = int(np.argmax(whole))  # the first NaN, if there is one
+        if whole[highest] > peak or np.isnan(whole[highest]) > np.isnan(peak):
+            peak = float(whole[highest])
+            peak_at_s = float(seconds(block.t_ns[inside:], start_ns)[highest])
+    if initial is None:
+        return None
+    return Effort(
+        uav=uav,
+        initial_input=initial[0],
+        initial_above_hover_n=initial[1] - weight,
+        peak_input=peak,
+        peak_force_n=peak_force,
+        peak_at_s=peak_at_s,
+        energy=energy,
+        energy_above_hover=above_hover,
+        missing=missing(recording, uav, track),
+    )
+
 
 _EXACT_S = 1e-9
 _VIOLATION = COUNTERS.index("priority_violation_max")
@@ -68,8 +135,6 @@ class LegVerdict:
 CUT_SHORT = "cut short"
 """The verdict on a leg that gave way to another one before it was due: it is not judged."""
 
-_EXACT_S = 1e-9
-
 
 @dataclass(frozen=True)
 class MissionLegVerdict:
@@ -80,9 +145,8 @@ class MissionLegVerdict:
     kind: str
     begin_s: float
     due_s: float
-    error_m: (
-        float | None
-    )  # the largest one when it was due; of a landing the largest height above the ground
+    # the largest one when it was due; of a landing the largest height above the ground
+    error_m: float | None
     uav: int | None  # that had it
     verdict: str  # met | missed | violated | void | cut short
     reason: str  # why not met, empty when met
@@ -147,37 +211,35 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+@np.errstate(all="ignore")  # the verdict names what is not finite
 def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
     """Judge a recording; `tolerance` [m] limits the error at the deadline, by default as in the scenario."""
-    with np.errstate(all="ignore"):  # the verdict names what is not finite
-        return _verdict_on(recording, tolerance_of(recording, tolerance))
-
-
-def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     require_all_uavs(recording)
-    scenario, counters = recording.scenario, recording.counters.values()
+    tolerance = tolerance_of(recording, tolerance)
+    scenario, counters = recording.scenario, recording.counters
     estimators = EstimatorErrors(recording)
-    legs = [_leg(recording, tolerance, estimators)]
+    first, pairs = _leg(recording, tolerance, estimators)
+    legs, parts = [first], [pairs]
     for number in range(1, len(recording.forms)):
         later = dataclasses.replace(recording, leg=number)
         try:
-            legs.append(_leg(later, tolerance))
+            leg, pairs = _leg(later, tolerance)
         except VerdictError as error:
-            void = LegVerdict(number + 1, later.start_ns * NANO, 0.0, str(error), ())
-            legs.append(_JudgedLeg(void, later.start_ns, []))
-    efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
-    parts = [leg.separations for leg in legs]
+            leg, pairs = LegVerdict(number + 1, later.start_ns * NANO, 0.0, str(error), ()), []
+        legs.append(leg)
+        parts.append(pairs)
     for start_ns, end_ns in legs_without_deadline(recording):
-        pairs = Separations(recording)
+        separations = Separations(recording)
         for block in recording.blocks(start_ns, end_ns):
-            pairs.add(block)
-        parts.append(pairs.results())
-    separations, first = tuple(joined(parts)), legs[0]
-    missed = (
-        counter_rise(track, "missed_ticks", recording.start_ns, first.end_ns) for track in counters
-    )
+            separations.add(block)
+        parts.append(separations.results())
+    efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
+    closest = tuple(joined(parts))
+    begin_ns, end_ns = recording.start_ns, recording.start_ns + round(first.duration_s / NANO)
+    missed = (counter_rise(recording, uav, "missed_ticks", begin_ns, end_ns) for uav in counters)
     violations = (
-        track.rows(track.size - 1, track.size).values[0, _VIOLATION] for track in counters
+        float(track.rows(track.size - 1, track.size).values[0, _VIOLATION])
+        for track in counters.values()
     )
     return Verdict(
         scenario=scenario.name,
@@ -187,44 +249,30 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         avoidance=scenario.formation.avoidance,
         judged_by=recording.judged_by,
         epoch_s=recording.start_ns * NANO,
-        duration_s=first.verdict.duration_s,
-        uavs=first.verdict.uavs,
+        duration_s=first.duration_s,
+        uavs=first.uavs,
         efforts=tuple(efforts),
-        separations=separations,
+        separations=closest,
         estimators=tuple(estimators.results()),
         energy=sum(of.energy for of in efforts),
-        inside_keep_out_s=sum(pair.inside_s for pair in separations),
+        inside_keep_out_s=sum(pair.inside_s for pair in closest),
         missed_ticks=int(sum(missed)),
-        priority_violation_m_s=max(map(float, violations), default=0.0),
+        priority_violation_m_s=max(violations, default=0.0),
         latency_ms=dict(recording.latency),
-        legs=tuple(leg.verdict for leg in legs),
-        mission=_mission_legs(
-            recording,
-            [leg.verdict.uavs for leg in legs],
-            [pair for part in parts for pair in part],
-            tolerance,
-        ),
+        legs=tuple(legs),
+        mission=_mission_legs(recording, legs, [p for part in parts for p in part], tolerance),
         faults=(*(fault.text for fault in (scenario.faults or ())), *recording.injected),
     )
 
 
-class _JudgedLeg(NamedTuple):
-    """A leg, the last instant of it that is judged, and its separations."""
-
-    verdict: LegVerdict
-    end_ns: int
-    separations: list[Separation]
-
-
 def _leg(
     recording: Recording, tolerance: float, estimators: EstimatorErrors | None = None
-) -> _JudgedLeg:
-    windows = encounters(recording)
-    figures = {
-        uav: ErrorFigures(recording, uav, windows[uav], tolerance)
-        for uav in recording.scenario.uav_ids
-    }
-    covers, pairs, end_ns = coverages(recording), Separations(recording), recording.start_ns
+) -> tuple[LegVerdict, list[Separation]]:
+    """The verdict on a leg, and its separations."""
+    windows, uavs = encounters(recording), recording.scenario.uav_ids
+    figures = {uav: ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs}
+    covers = {uav: coverage(recording, uav) for uav in uavs}
+    pairs, end_ns = Separations(recording), recording.start_ns
     for block in recording.blocks():
         for uav, error in formation_errors(recording, block).items():
             figures[uav].add(block, error)
@@ -233,13 +281,10 @@ def _leg(
             estimators.add(block)
         end_ns = int(block.stamps[-1])
     separations = pairs.results()
-    uavs = tuple(
-        judge(recording, uav, of, covers, intrusion(separations, uav))
-        for uav, of in figures.items()
-    )
+    judged = tuple(judge(of, covers, intrusion(separations, of.uav)) for of in figures.values())
     duration_s = float(end_ns - recording.start_ns) * NANO
-    leg = LegVerdict(recording.leg + 1, recording.start_ns * NANO, duration_s, "", uavs)
-    return _JudgedLeg(leg, end_ns, separations)
+    leg = LegVerdict(recording.leg + 1, recording.start_ns * NANO, duration_s, "", judged)
+    return leg, separations
 
 
 def legs_without_deadline(recording: Recording) -> list[tuple[int, int]]:
@@ -263,100 +308,75 @@ class _Error(NamedTuple):
 
 def _mission_legs(
     recording: Recording,
-    judged: Sequence[Sequence[UavVerdict]],
+    judged: Sequence[LegVerdict],
     separations: Iterable[Separation],
     tolerance: float,
 ) -> tuple[MissionLegVerdict, ...]:
-    """The verdicts on the legs that are due before the flight ends, or were cut short.
-
-    Args:
-        recording: the whole flight.
-        judged: the verdicts on the UAVs, by epoch.
-        separations: the closest approaches, also of spans that overlap.
-        tolerance: limit of an error [m].
-    """
+    """The verdicts on the legs of the mission that are due before the flight ends, or were cut short."""
     scenario = recording.scenario
     if not scenario.legs:
         return ()
-    entered = [pair for pair in separations if pair.entered]
-    end_s = (
-        (scenario.timing.ticks - 1) * scenario.timing.dt_ns * NANO
-    )  # the last instant of the flight
+    # the last instant of the flight
+    end_s = (scenario.timing.ticks - 1) * scenario.timing.dt_ns * NANO
     end_s = end_s if recording.window_s is None else min(end_s, recording.window_s)
     until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]
     verdicts = []
     for leg, next_s in zip(scenario.legs, until_s, strict=True):
         if leg.due_s > end_s + _EXACT_S and not is_cut_short(scenario.legs, leg):
             continue
-        near = [pair for pair in entered if leg.begin_s <= pair.at_s < next_s]
-        verdicts.append(_judged(recording, leg, _errors(recording, leg, judged), near, tolerance))
+        errors = _errors(recording, leg, judged)
+        worst = max(errors or (), key=lambda error: error.error_m, default=None)
+        # An error that is no number is late too: a comparison with NaN is false.
+        late = [of for of in errors or () if not of.excused and not of.error_m <= tolerance]
+        entered = [p for p in separations if p.entered and leg.begin_s <= p.at_s < next_s]
+        verdict, reason = MET, ""
+        if entered:
+            pair = min(entered, key=lambda pair: pair.distance_m - pair.keep_out_m)
+            verdict = VIOLATED
+            reason = f"{pair.first} {pair.distance_m:.3f} m from {pair.second} at {pair.at_s:.2f} s"
+        elif late:
+            named = ", ".join(f"UAV {error.uav} {error.error_m:.3f} m" for error in late)
+            off = "above the ground" if isinstance(leg.leg, LandLeg) else "off"
+            verdict = MISSED
+            reason = f"{named} {off} at {leg.due_s:.2f} s, expected at most {tolerance:g} m"
+        elif errors is None:
+            verdict, reason = CUT_SHORT, "by an operator"
+        elif not errors:
+            last_s = (recording.last_ns - recording.first_ns) * NANO
+            verdict = VOID
+            reason = f"the recording ends after {last_s:.2f} s, it was due at {leg.due_s:.2f} s"
+        error_m, uav = (None, None) if worst is None else (worst.error_m, worst.uav)
+        times_s = leg.begin_s, leg.due_s
+        about = leg.number, leg.name, leg.leg.kind
+        verdicts.append(MissionLegVerdict(*about, *times_s, error_m, uav, verdict, reason))
     return tuple(verdicts)
 
 
 def _errors(
-    recording: Recording, leg: ScheduledLeg, judged: Sequence[Sequence[UavVerdict]]
+    recording: Recording, leg: ScheduledLeg, judged: Sequence[LegVerdict]
 ) -> list[_Error] | None:
     """The known errors of all UAVs when a leg was due; None: a later leg took its place before."""
     if leg.number == FIRST:
         return [
             _Error(uav.uav, uav.error_at_deadline_m, uav.due_s > uav.deadline_s)
-            for uav in judged[0]
+            for uav in judged[0].uavs
             if uav.error_at_deadline_m is not None
         ]
     if isinstance(leg.leg, LandLeg):  # heights above the ground
         due_ns = recording.first_ns + round(leg.due_s / NANO)
         if due_ns > recording.last_ns:
             return []
-        places = recording.at(np.array([due_ns])).positions
+        ground_m, places = leg.leg.ground_m, recording.at(np.array([due_ns])).positions
         return [
-            _Error(uav, max(float(place[0, 2]) - leg.leg.ground_m, 0.0), False)
+            _Error(uav, max(float(place[0, 2]) - ground_m, 0.0), False)
             for uav, place in places.items()
         ]
     if is_cut_short(recording.scenario.legs, leg):
         return None
     return [
         _Error(uav.uav, due.error_m, due.excused)
-        for uavs in judged
-        for uav in uavs
+        for of_leg in judged
+        for uav in of_leg.uavs
         for due in uav.changes
         if due.number == leg.number and due.due_s == leg.due_s and due.error_m is not None
     ]
-
-
-def _judged(
-    recording: Recording,
-    leg: ScheduledLeg,
-    errors: list[_Error] | None,
-    entered: list[Separation],
-    tolerance: float,
-) -> MissionLegVerdict:
-    worst = max(errors or (), key=lambda error: error.error_m, default=None)
-    # An error that is no number is late too: a comparison with NaN is false.
-    late = [of for of in errors or () if not of.excused and not of.error_m <= tolerance]
-    verdict, reason = MET, ""
-    if entered:
-        pair = min(entered, key=lambda pair: pair.distance_m - pair.keep_out_m)
-        verdict = VIOLATED
-        reason = f"{pair.first} {pair.distance_m:.3f} m from {pair.second} at {pair.at_s:.2f} s"
-    elif late:
-        verdict = MISSED
-        named = ", ".join(f"UAV {error.uav} {error.error_m:.3f} m" for error in late)
-        off = "above the ground" if isinstance(leg.leg, LandLeg) else "off"
-        reason = f"{named} {off} at {leg.due_s:.2f} s, expected at most {tolerance:g} m"
-    elif errors is None:
-        verdict, reason = CUT_SHORT, "by an operator"
-    elif not errors:
-        last_s = (recording.last_ns - recording.first_ns) * NANO
-        verdict = VOID
-        reason = f"the recording ends after {last_s:.2f} s, it was due at {leg.due_s:.2f} s"
-    return MissionLegVerdict(
-        leg.number,
-        leg.name,
-        leg.leg.kind,
-        leg.begin_s,
-        leg.due_s,
-        None if worst is None else worst.error_m,
-        None if worst is None else worst.uav,
-        verdict,
-        reason,
-    )

@@ -18,7 +18,7 @@ from ptnsbc_sim.scenario.constants import leader_trajectory, recovery_config
 from ptnsbc_sim.scenario.slots import Membership, reconfigured
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 
 JUMP_M = 0.05
 """What a change of the leader moves anybody by, at most: docs/notes/membership.md."""

@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leade
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.deadline import MET
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
 DEADLINE_S = 5.0

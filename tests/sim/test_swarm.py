@@ -18,7 +18,7 @@ from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.draws import NEAR, Starts
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, plan_of
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_sim.wiring import wiring_of
 from ptnsbc_sim.world import World
 

@@ -19,7 +19,7 @@ from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, RecentStates, 
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.slots import with_slots
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.members import Phase
+from ptnsbc_sim.verdict.recording import Phase
 
 SCENARIO = load_scenario("paper_5")
 EPOCH_NS = 7_000_000_000

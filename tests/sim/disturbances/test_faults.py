@@ -10,7 +10,7 @@ from ptnsbc_sim.disturbances.random_streams import STATE_LINK
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 
 MANY = [
     {"kind": "silence", "uav": 2, "at_s": 0.5, "duration_s": 0.3},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.verdict import effort, track, verdict_on
+from ptnsbc_sim.verdict import track, verdict, verdict_on
 
 SUMS = ("rmse", "energy", "encounter_s", "inside")
 LEGS = ((0, "form"), (9 * 10**9, "form"), (17 * 10**9, "hold"))
@@ -28,7 +28,7 @@ def test_samples_at_other_times() -> None:
 
 def in_blocks(recording: Any, rows: int) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
-        for module in (track, effort):
+        for module in (track, verdict):
             patch.setattr(module, "BLOCK", rows)
         return verdict_on(recording).as_json()
 

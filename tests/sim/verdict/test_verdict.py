@@ -14,7 +14,7 @@ from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import Word
 from ptnsbc_sim.verdict import Recording, Series, Verdict, VerdictError, verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_sim.verdict.verdict import legs_without_deadline
 from ptnsbc_tools.tables import reasons, verdict_line
 

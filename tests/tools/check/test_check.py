@@ -8,7 +8,7 @@ import pytest
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_tools.check import CheckError, Finding, check, geometry, refuse
 from ptnsbc_tools.check.gains import leader_error_std_m
 

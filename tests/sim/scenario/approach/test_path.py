@@ -31,7 +31,7 @@ from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.scenario import Scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 
 HOVER = {"kind": "hover", "position_m": [0, 0, 8]}
 TEN_S = {"gains.formation.deadline_s": 10.0, "timing.duration_s": 14.0}
