@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from paper.experiment_result import Claim
 from paper.flights import JudgedFlight
-from ptnsbc_tools.sweeps.table import Share
+from ptnsbc_tools.sweeps.summary import Share
 
 Flights = Mapping[str, JudgedFlight]
 

@@ -16,8 +16,7 @@ from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_sim.verdict.recording import whole
+from ptnsbc_sim.verdict.recording import recording_of, whole
 
 Setting = Mapping[str, Any]
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")

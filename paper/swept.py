@@ -14,7 +14,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import parse_starts, run
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED
-from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep, Share, read_sweep, share_of
+from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep, Share, read_sweep, share_of
 
 RUNS = 200
 DEFAULT_APPROACH: Setting = {"formation.approach": None, "gains.clearance.approach": None}

@@ -30,7 +30,7 @@ from paper.swept import RUNS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
-from ptnsbc_tools.sweeps.table import Share, share
+from ptnsbc_tools.sweeps.summary import Share, share
 
 SCENARIO = "paper_5_free"
 PREDEFINED = ("ptsmc_exponential", "ptsmc_two_sided")

@@ -13,8 +13,8 @@ from paper.experiment_result import ExperimentResult, Figure, Table
 from paper.figures import style
 from paper.output import ExperimentFolder
 from paper.swept import DEFAULT_APPROACH, SweepCase, fly_case, met, shares_table
+from ptnsbc_tools.sweeps.summary import FlightTable, Share
 from ptnsbc_tools.sweeps.sweep_report import plot_shares
-from ptnsbc_tools.sweeps.table import FlightTable, Share
 
 RUNS = 40
 _DEADLINE_S, _AFTER_S = 6.0, 4.0

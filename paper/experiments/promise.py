@@ -18,7 +18,7 @@ from paper.swept import (
     shares_table,
 )
 from ptnsbc_sim.verdict.deadline import TOLERANCE_M
-from ptnsbc_tools.sweeps.table import Share
+from ptnsbc_tools.sweeps.summary import Share
 
 _QUADROTOR = ("quadrotor",)
 SCENARIOS = {

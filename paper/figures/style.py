@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ptnsbc_tools.plotting.chart import COLOURS as PALETTE
+from ptnsbc_tools.plotting.charts import COLOURS as PALETTE
 
 COLUMN_MM = 88.0
 _MM_PER_INCH = 25.4

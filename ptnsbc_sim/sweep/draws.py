@@ -125,35 +125,8 @@ class Spheres:
     centres: Array  # (O, 3) [m]
     radii: Array  # (O,) [m]
     apart_m: float  # from every other UAV
-    bodies: tuple[
-        tuple[Obstacle, float], ...
-    ] = ()  # that are no spheres, and the distances from them [m]
-
-
-def clear_places(
-    proposals: Sequence[tuple[Array, Array]],
-    normal: bool,
-    spheres: Spheres,
-    rng: np.random.Generator,
-) -> list[Array]:
-    """A place (3,) for each (centre, spread), clear of the spheres and of the places before it.
-
-    `spread` is the standard deviation per axis for `normal`, half the edges of a box otherwise.
-    """
-    places: list[Array] = []
-    for number, (centre, spread) in enumerate(proposals):
-        for _ in range(_MOST_TRIES):
-            share = rng.standard_normal(3) if normal else rng.uniform(-1.0, 1.0, 3)
-            place = centre + spread * share
-            if _clear(place, places, spheres):
-                places.append(place)
-                break
-        else:
-            raise SweepError(
-                f"starts: no room for UAV number {number + 1} of {len(proposals)} after {_MOST_TRIES} "
-                f"tries: expected {spheres.apart_m:g} m between UAVs; draw from a larger region"
-            )
-    return places
+    # that are no spheres, and the distances from them [m]
+    bodies: tuple[tuple[Obstacle, float], ...] = ()
 
 
 def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
@@ -178,15 +151,34 @@ def spheres_of(file: ScenarioFile, bodies: Sequence[Obstacle]) -> Spheres:
 
 
 def drawn_places(
-    positions: Sequence[Sequence[float]], starts: Starts, spheres: Spheres, rng: np.random.Generator
+    positions: Sequence[Sequence[float]] | Array,
+    starts: Starts,
+    spheres: Spheres,
+    rng: np.random.Generator,
 ) -> list[Array]:
-    """The starts (3,) [m] of all UAVs, whose positions in the file are given; not for `file`."""
-    given = [np.array(place, dtype=np.float64) for place in positions]
-    if starts.kind == NEAR:
-        proposals = [(place, np.full(3, starts.numbers[0])) for place in given]
-    else:
-        half = 0.5 * np.array(starts.numbers)
-        centre = np.mean(given, axis=0)
-        centre[2] = min(place[2] for place in given) + half[2]
-        proposals = [(centre, half)] * len(given)
-    return clear_places(proposals, starts.kind == NEAR, spheres, rng)
+    """The starts (3,) [m] of all UAVs, whose positions in the file are given; not for `file`.
+
+    Each is clear of the spheres and of the starts before it.
+    """
+    centres = [np.array(place, dtype=np.float64) for place in positions]
+    spread = np.full(3, starts.numbers[0])
+    if starts.kind == BOX:
+        spread = 0.5 * np.array(starts.numbers)
+        centre = np.mean(centres, axis=0)
+        centre[2] = min(place[2] for place in centres) + spread[2]
+        centres = [centre] * len(centres)
+    places: list[Array] = []
+    for number, centre in enumerate(centres):
+        for _ in range(_MOST_TRIES):
+            near = starts.kind == NEAR
+            share = rng.standard_normal(3) if near else rng.uniform(-1.0, 1.0, 3)
+            place = centre + spread * share
+            if _clear(place, places, spheres):
+                places.append(place)
+                break
+        else:
+            raise SweepError(
+                f"starts: no room for UAV number {number + 1} of {len(centres)} after {_MOST_TRIES} "
+                f"tries: expected {spheres.apart_m:g} m between UAVs; draw from a larger region"
+            )
+    return places

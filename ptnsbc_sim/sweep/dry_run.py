@@ -52,9 +52,8 @@ class DryFlight:
     verdict: str
     uav: int
     cause: str  # why not met, empty when met
-    error_m: (
-        float | None
-    )  # largest after the deadline, excused spans included; None: none, or not finite
+    # largest after the deadline, excused spans included; None: none, or not finite
+    error_m: float | None
     room_m: float | None  # smallest distance less its keep-out; None: nothing to keep out of
 
     @property
@@ -100,11 +99,7 @@ class DryRun:
 def dry_run(
     scenario: Scenario, runs: int = RUNS, seed: int = 0, progress: Progress | None = None
 ) -> DryRun:
-    """Fly a scenario once as it stands, and `runs` times perturbed.
-
-    Raises:
-        SweepError: UAVs start so close that no perturbed start has room.
-    """
+    """Fly a scenario as it stands, and `runs` times perturbed; SweepError when no perturbed start has room."""
     found = []
     for flight in _flights(scenario, runs, seed):
         found.append(flight)
@@ -137,7 +132,8 @@ def dry_run_says(plan: SweepPlan, k: int) -> str:
 
 def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
     deadline_s = scenario.gains.formation.deadline_s
-    stop_s, changes = deadline_s + AFTER_S, dict(_turn_as_flown(scenario))
+    # The fleet computes the turn from the starts of the file, wherever its UAVs stand.
+    changes = {"formation.turn_rad": turn_of(scenario)}
     if scenario.timing.duration_s < deadline_s + _LEAST_AFTER_S:  # nothing could be judged
         changes["timing.duration_s"] = deadline_s + _LEAST_AFTER_S
     text = scenario_from_text(scenario.text, changes, source=scenario.source).text
@@ -148,7 +144,7 @@ def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
         seed + 1,
         axes=tuple(_worse_links(scenario)),
         starts=Starts(NEAR, (START_M,)),
-        stop_after_s=stop_s,
+        stop_after_s=deadline_s + AFTER_S,
         source=scenario.source,
     )
     room: HeadlessFlight | None = None
@@ -156,11 +152,6 @@ def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
         for k in range(plan.draws if plan.runs else 0):
             rows, _, room = fly_draw(plan, k, room)
             yield _judged(scenario, rows)
-
-
-def _turn_as_flown(scenario: Scenario) -> dict[str, float]:
-    """The turn of the scenario by name: the fleet computes it from the starts of the file, wherever its UAVs stand."""
-    return {"formation.turn_rad": turn_of(scenario)}
 
 
 def _worse_links(scenario: Scenario) -> Iterator[SweepAxis]:
@@ -181,7 +172,8 @@ def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
 
     worst = min(rows, key=rank)
     rooms = [
-        row.closest_uav_m - _keep_out_of(scenario, row.uav)
+        row.closest_uav_m
+        - max(scenario.keep_out_between(row.uav, one) for one in scenario.uav_ids if one != row.uav)
         for row in rows
         if row.closest_uav_m is not None
     ]
@@ -193,11 +185,6 @@ def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
         error_m=_finite(worst.largest_after_all_m),
         room_m=min(rooms, default=None),
     )
-
-
-def _keep_out_of(scenario: Scenario, uav: int) -> float:
-    """The largest distance [m] that a UAV keeps from any other."""
-    return max(scenario.keep_out_between(uav, one) for one in scenario.uav_ids if one != uav)
 
 
 def _finite(value: float | None) -> float | None:
@@ -213,7 +200,7 @@ def with_starts_at(scenario: Scenario, positions: Mapping[int, tuple[float, ...]
     }
     if not keys:
         return scenario
-    keys |= _turn_as_flown(scenario)
+    keys["formation.turn_rad"] = turn_of(scenario)  # from the starts of the file
     return scenario_from_text(scenario.text, keys, source=scenario.source)
 
 
@@ -288,15 +275,3 @@ def _mends(scenario: Scenario, changes: Mapping[str, Any], seed: int) -> bool:
         return accepts(changed, _TRIALS, seed, least=1.0)
     except PtnsbcError:  # a change that this scenario does not allow
         return False
-
-
-__all__ = [
-    "DryFlight",
-    "DryRun",
-    "Remedy",
-    "accepts",
-    "dry_run",
-    "dry_run_says",
-    "remedies",
-    "with_starts_at",
-]

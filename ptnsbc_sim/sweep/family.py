@@ -7,16 +7,26 @@ obstacles and the wind of the base scenario. Vehicle, sensors, gains and task st
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ptnsbc_core.tasks.table import TaskName
+from ptnsbc_core.timebase import feasible_deadline
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
-from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
+from ptnsbc_sim.scenario.mission.shapes import SHAPES
+from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.schema import as_text, described, headed
+from ptnsbc_sim.sweep.draws import BOX, NEAR, Spheres, Starts, drawn_places, spheres_of
 
 # A range is [low, high]; a number alone is that number in every draw.
 Range = Annotated[
@@ -170,11 +180,7 @@ def find_family(name: str | Path) -> Path:
 
 
 def family_from_text(text: str, source: str = "family") -> Family:
-    """A family from YAML text.
-
-    Raises:
-        ScenarioError: the text is no family.
-    """
+    """A family from YAML text; ScenarioError when it is none."""
     tree = reader.parse(text, source)
     try:
         return Family.model_validate(tree)
@@ -195,3 +201,243 @@ def schema() -> dict[str, Any]:
 def text() -> str:
     """The schema as the committed file holds it."""
     return as_text(schema())
+
+
+Generator = Callable[[str], np.random.Generator]
+_MOST_TRIES = 200
+_ASIDE_M = 3.0  # obstacles lie so far around starts and goals at most
+_HEIGHT_M = 5.0
+
+
+def _number(given: float | tuple[float, float], rng: np.random.Generator) -> float:
+    if isinstance(given, tuple):
+        return float(rng.uniform(*given))
+    return float(given)
+
+
+def _count(given: int | tuple[int, int], rng: np.random.Generator) -> int:
+    if isinstance(given, tuple):
+        return int(rng.integers(given[0], given[1] + 1))
+    return given
+
+
+def _one_of(kinds: tuple[str, ...], rng: np.random.Generator) -> str:
+    return kinds[int(rng.integers(len(kinds)))]
+
+
+def _parents(kind: str, size: int, depth: int, rng: np.random.Generator) -> dict[int, int]:
+    """Parent of every follower; UAV 1 leads."""
+    if kind == "chain":
+        return {uav: uav - 1 for uav in range(2, size + 1)}
+    if kind == "star":
+        return dict.fromkeys(range(2, size + 1), 1)
+    hops, parents = {1: 0}, {}
+    for uav in range(2, size + 1):
+        open_to = [other for other, far in hops.items() if far < depth]
+        parents[uav] = open_to[int(rng.integers(len(open_to)))]
+        hops[uav] = hops[parents[uav]] + 1
+    return parents
+
+
+def _places(kind: str, size: int, spacing: float, rng: np.random.Generator) -> Array:
+    """Places (N, 3) [m] relative to the leader, which is the first; random ones are apart from each other."""
+    if kind != "random":
+        return SHAPES[kind](size, spacing)
+    half = 1.5 * spacing * math.sqrt(size) * np.array([1.0, 1.0, 0.25])
+    places = [np.zeros(3)]
+    while len(places) < size:
+        place = half * rng.uniform(-1.0, 1.0, 3)
+        if min(math.hypot(*(place - other)[:2]) for other in places) >= spacing:
+            places.append(place)
+    return np.array(places)
+
+
+def _path(path: FamilyPath, rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The leader's trajectory, and what was drawn for it."""
+    kind = _one_of(path.kinds, rng)
+    speed, radius = _number(path.speed_m_s, rng), _number(path.radius_m, rng)
+    angle = float(rng.uniform(-math.pi, math.pi))
+    hover = {"kind": "line", "position_m": [0.0, 0.0, _HEIGHT_M]}
+    if kind == "hover":
+        return hover, {"path": kind, "speed_m_s": 0.0, "radius_m": None}
+    if kind == "line":
+        velocity = [speed * math.cos(angle), speed * math.sin(angle), 0.0]
+        drawn = {"path": kind, "speed_m_s": speed, "radius_m": None}
+        return hover | {"velocity_m_s": velocity}, drawn
+    centre = [0.0, -radius, _HEIGHT_M]  # begins above the origin
+    circle = {"kind": "circle", "centre_m": centre, "radius_m": radius}
+    drawn = {"path": kind, "speed_m_s": speed, "radius_m": radius}
+    return circle | {"rate_rad_s": speed / radius}, drawn
+
+
+def _starts(
+    starts: FamilyStarts, goals: Array, spheres: Spheres, rng: np.random.Generator
+) -> list[Array]:
+    rule = Starts(NEAR, (_number(starts.sigma_m, rng),))
+    if starts.kind == "box":
+        rule = Starts(BOX, starts.box_m)
+    places = goals
+    if starts.kind == "swap":  # a cycle: nobody keeps its place
+        cycle = 1 + rng.permutation(len(goals) - 1)
+        places = goals.copy()
+        places[cycle] = goals[np.roll(cycle, 1)]
+    if starts.kind == "opposite":
+        places = 2.0 * goals[0] - goals
+    return drawn_places(places, rule, spheres, rng)
+
+
+def _obstacles(
+    block: FamilyObstacles,
+    starts: Array,
+    goals: Array,
+    margin_m: float,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """As many as there is room for: none holds a start or a place, none meets another one."""
+    found: list[dict[str, Any]] = []
+    ends = np.concatenate([starts, goals])
+    low, high = ends.min(axis=0) - _ASIDE_M, ends.max(axis=0) + _ASIDE_M
+    for _ in range(_count(block.count, rng)):
+        radius = _number(block.keep_out_m, rng)
+        for _ in range(_MOST_TRIES):
+            if block.where == "way":
+                which, share = int(rng.integers(len(starts))), rng.uniform(0.25, 0.75)
+                place = starts[which] + share * (goals[which] - starts[which])
+                place = place + 0.5 * radius * rng.standard_normal(3)
+            else:
+                place = rng.uniform(low, high)
+            free = np.linalg.norm(ends - place, axis=1).min() > radius + margin_m
+            if free and all(
+                np.linalg.norm(place - np.array(one["position_m"])) > radius + one["keep_out_m"]
+                for one in found
+            ):
+                name = f"O{len(found) + 1}"
+                found.append({"name": name, "position_m": place.tolist(), "keep_out_m": radius})
+                break
+    return found
+
+
+def draw_family(
+    family: Family, base: ScenarioFile, tree: Tree, generator: Generator
+) -> dict[str, Any]:
+    """Draw a scenario of the family into `tree`, the keys of the base scenario; returns what was drawn, by column.
+
+    `generator` makes the random numbers of one quantity by its name: none depends on what else is drawn.
+    """
+    size = _count(family.size, generator("family size"))
+    rng = generator("family tree")
+    tree_kind = _one_of(family.tree.kinds, rng)
+    parents = _parents(tree_kind, size, family.tree.depth, rng)
+    rng = generator("family shape")
+    shape, spacing = _one_of(family.shape.kinds, rng), _number(family.shape.spacing_m, rng)
+    offsets = _places(shape, size, spacing, rng)
+    trajectory, values = _path(family.path, generator("family path"))
+    goals = np.array([0.0, 0.0, _HEIGHT_M]) + offsets
+    margin_m = float(base.gains.clearance.margin_m)
+    world = dict(tree.get("world") or {})
+    world["obstacles"] = []
+    tree["world"] = world
+    spheres = spheres_of(base, ())
+    apart = replace(spheres, apart_m=max(spheres.apart_m, family.starts.apart_m))
+    starts = _starts(family.starts, goals, apart, generator("family starts"))
+    places = np.array(starts)
+    if family.obstacles is not None:
+        room = margin_m + spheres.apart_m
+        rng = generator("family obstacles")
+        world["obstacles"] = _obstacles(family.obstacles, places, goals, room, rng)
+    # Attitudes and disturbances are those of the base scenario's UAVs, over and over.
+    given, ids = tree["uavs"], list(range(2, size + 1))
+    tree["uavs"] = [
+        {**deepcopy(given[row % len(given)]), "id": row + 1, "position_m": place.tolist()}
+        for row, place in enumerate(starts)
+    ]
+    edges = [[uav, uav + 1] for uav in ids[:-1]]
+    graph = {"tree": parents, "leader_links": ids, "estimator_edges": edges, "links": []}
+    tree["communication"] = {**tree["communication"], **graph}
+    tree["leader"] = {"id": 1, "trajectory": trajectory}
+    followers = {uav + 1: offsets[uav].tolist() for uav in range(1, size)}
+    tree["formation"] = {**tree["formation"], "offsets_m": followers}
+    tree["formation"].pop("shape", None)
+    for key, value in (("task", family.task), ("assignment", family.assignment)):
+        if value is not None:
+            tree["formation"][key] = value
+    values |= {
+        "size": size,
+        "tree": tree_kind,
+        "shape": shape,
+        "spacing_m": spacing,
+        "obstacles": len(world["obstacles"]),
+    }
+    if family.deadline is not None:
+        rng = generator("family deadline")
+        values["deadline_s"] = _draw_deadline(family.deadline, base, tree, places, goals, rng)
+    values |= _draw_surroundings(family, tree, generator)
+    return values
+
+
+def _draw_deadline(
+    block: FamilyDeadline,
+    base: ScenarioFile,
+    tree: Tree,
+    starts: Array,
+    goals: Array,
+    rng: np.random.Generator,
+) -> float:
+    """Draw the deadline and the length of the flight."""
+    if block.seconds is not None:
+        deadline_s = _number(block.seconds, rng)
+    else:
+        assert block.of_feasible is not None
+        beside = starts - starts[0] - (goals - goals[0])
+        errors = [float(np.linalg.norm(starts[0] - goals[0])), *np.linalg.norm(beside, axis=1)]
+        limits = base.gains.filter
+        shortest = feasible_deadline(
+            float(max(errors)), limits.max_speed_m_s, limits.max_acceleration_m_s2
+        )
+        deadline_s = max(_number(block.of_feasible, rng) * shortest, block.at_least_s)
+    formation = {**tree["gains"].get("formation", {}), "deadline_s": deadline_s}
+    tree["gains"] = {**tree["gains"], "formation": formation}
+    tree["timing"] = {**tree["timing"], "duration_s": deadline_s + block.after_s}
+    return deadline_s
+
+
+def _draw_surroundings(family: Family, tree: Tree, generator: Generator) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    if family.wind is not None:
+        rng = generator("family wind")
+        speed, gust = _number(family.wind.mean_m_s, rng), _number(family.wind.gust_m_s, rng)
+        angle = float(rng.uniform(-math.pi, math.pi))
+        tree["world"]["wind_m_s"] = [speed * math.cos(angle), speed * math.sin(angle), 0.0]
+        tree["world"]["gust_m_s"] = [gust, gust, gust]
+        values |= {"wind_m_s": speed, "gust_m_s": gust}
+    if family.delay_s is not None:
+        delay_s = _number(family.delay_s, generator("family delay"))
+        tree["communication"]["delay_s"] = delay_s
+        values["delay_s"] = delay_s
+    if family.mass is not None:  # a factor of each UAV, and of each of its axes
+        rng = generator("family mass")
+        for uav in tree["uavs"]:
+            uav["mass_scale"] = _number(family.mass.mass_scale, rng)
+            uav["inertia_scale"] = [_number(family.mass.inertia_scale, rng) for _ in range(3)]
+        scales = [uav["mass_scale"] for uav in tree["uavs"]]
+        values |= {"heaviest": max(scales), "lightest": min(scales)}
+    return values
+
+
+def family_columns(family: Family) -> dict[str, str]:
+    """Columns of what `draw_family` draws, and the kind of each."""
+    always = ("path", "speed_m_s", "radius_m", "size", "tree", "shape", "spacing_m", "obstacles")
+    sometimes = {
+        ("deadline_s",): family.deadline,
+        ("wind_m_s", "gust_m_s"): family.wind,
+        ("delay_s",): family.delay_s,
+        ("heaviest", "lightest"): family.mass,
+    }
+    names = (
+        *always,
+        *(name for of, block in sometimes.items() if block is not None for name in of),
+    )
+    words, counts = ("path", "tree", "shape"), ("size", "obstacles")
+    return {
+        name: "str" if name in words else "int" if name in counts else "float" for name in names
+    }

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -23,7 +23,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import takes_off
-from ptnsbc_sim.scenario.problems import ScenarioError, Tree
+from ptnsbc_sim.scenario.problems import Tree
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.scenario import scenario_of, validated
 from ptnsbc_sim.sweep.draws import (
@@ -36,8 +36,7 @@ from ptnsbc_sim.sweep.draws import (
     drawn_places,
     spheres_of,
 )
-from ptnsbc_sim.sweep.family import Family, family_from_text
-from ptnsbc_sim.sweep.family_draw import draw_family
+from ptnsbc_sim.sweep.family import draw_family, family_from_text
 
 FORMAT = 1
 
@@ -113,9 +112,7 @@ class SweepPlan:
 def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
     """A plan over a scenario that has been loaded with its overrides; `rest` are fields of SweepPlan.
 
-    Raises:
-        SweepError: the plan has no flight, or an axis that cannot be.
-        ScenarioError: the first draw is no scenario.
+    SweepError when it has no flight, or an axis that cannot be; ScenarioError when its first draw is no scenario.
     """
     plan = SweepPlan(scenario.text, runs, source=scenario.source, **rest)
     if runs < 1:
@@ -150,9 +147,7 @@ def _base(text: str, source: str) -> bytes:
     return pickle.dumps(reader.parse(text, source))
 
 
-@lru_cache(maxsize=4)
-def _family(text: str) -> Family:
-    return family_from_text(text)
+_family = lru_cache(maxsize=4)(family_from_text)
 
 
 def _axis_values(plan: SweepPlan, k: int) -> dict[str, Any]:
@@ -187,7 +182,7 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     tree = reader.with_keys(tree, axes, plan.source)
     values |= {key: _plain(value) for key, value in axes.items()}
     if "seed" not in axes:
-        tree["seed"] = _seed(plan, k)
+        tree["seed"] = int(generator(plan, k, "seed").integers(2**32))
     if plan.starts.kind == FILE and plan.stop_after_s is None:
         return tree, values
     file = validated(tree, _source(plan, k))
@@ -200,10 +195,6 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     if plan.stop_after_s is not None:
         tree["timing"]["duration_s"] = min(file.timing.duration_s, float(plan.stop_after_s))
     return tree, values
-
-
-def _seed(plan: SweepPlan, k: int) -> int:
-    return int(generator(plan, k, "seed").integers(2**32))
 
 
 def _plain(value: Any) -> Value:
@@ -244,22 +235,15 @@ def _base_scenario(text: str, source: str) -> Scenario:
     return scenario_from_text(text, source=source)
 
 
-class _Common(NamedTuple):
-    """The common parts of draws that differ in starts and seed only."""
-
-    scenario: Scenario
-    spheres: Spheres  # of which the starts must be clear
-
-
 @lru_cache(maxsize=4)
-def _common(text: str, source: str, stop_after_s: float | None) -> _Common:
+def _common(text: str, source: str, stop_after_s: float | None) -> tuple[Scenario, Spheres]:
+    """The scenario of draws that differ in starts and seed only, and the spheres of which starts must be clear."""
     scenario = scenario_from_text(text, source=source)
     if stop_after_s is not None:
         stop_s = min(scenario.timing.duration_s, float(stop_after_s))
         scenario = scenario_from_text(text, {"timing.duration_s": stop_s}, source=source)
-    return _Common(
-        scenario.model_copy(update={"text": ""}), spheres_of(scenario, scenario.world.bodies)
-    )
+    spheres = spheres_of(scenario, scenario.world.bodies)
+    return scenario.model_copy(update={"text": ""}), spheres
 
 
 def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
@@ -273,7 +257,8 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
         base, spheres = _common(plan.scenario, plan.source, plan.stop_after_s)
     except PtnsbcError:
         return None  # whoever validates the draw names it in the message
-    update: dict[str, Any] = {"seed": _seed(plan, k), "source": source}
+    seed = int(generator(plan, k, "seed").integers(2**32))
+    update: dict[str, Any] = {"seed": seed, "source": source}
     if plan.starts.kind != FILE:
         if takes_off(base.mission):
             return None
@@ -286,16 +271,3 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
             for uav, place in zip(base.uavs, places, strict=True)
         )
     return base.model_copy(update=update)
-
-
-__all__ = [
-    "ScenarioError",
-    "SweepError",
-    "SweepPlan",
-    "Value",
-    "draw",
-    "drawn_scenario",
-    "drawn_values",
-    "generator",
-    "plan_of",
-]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import inf
+from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
-from ptnsbc_sim.verdict import Recording, Separation, Verdict, verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_sim.verdict.recording import counter_rise
+from ptnsbc_sim.verdict import Recording, Verdict, verdict_on
+from ptnsbc_sim.verdict.recording import counter_rise, recording_of
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,7 @@ class SweepRow:
     saturated_s: float | None  # until the deadline
     holding_s: float | None  # until the deadline
     closest_uav_m: float | None  # between centres; None: no other UAV
-    closest_obstacle_m: (
-        float | None
-    )  # beyond its keep-out sphere, negative inside; None: no obstacle
+    closest_obstacle_m: float | None  # beyond its keep-out, negative inside; None: no obstacle
     inside_keep_out_s: float | None  # of UAVs and obstacles, summed
     peak_force_n: float | None
     energy_n2_s: float | None  # integral of |u|^2 (54)
@@ -65,76 +63,52 @@ NOT_FLOWN = "not flown"
 
 def not_flown(draw: int, cause: str) -> SweepRow:
     """The row of a draw that cannot be flown."""
-    words = {
-        "draw": draw,
-        "uav": 0,
-        "slot": 0,
-        "verdict": NOT_FLOWN,
-        "cause": " ".join(cause.split()),
-    }
-    blank = dict.fromkeys(field.name for field in fields(SweepRow))
-    return SweepRow(**{**blank, **words, "flight_verdict": NOT_FLOWN, "check": ""})  # type: ignore[arg-type]
+    blank: dict[str, Any] = dict.fromkeys(field.name for field in fields(SweepRow))
+    words = {"verdict": NOT_FLOWN, "flight_verdict": NOT_FLOWN, "cause": " ".join(cause.split())}
+    return SweepRow(**blank | words | {"draw": draw, "uav": 0, "slot": 0, "check": ""})
 
 
 def fly_draw(
     plan: SweepPlan, k: int, room: HeadlessFlight | None = None, check: str = ""
 ) -> tuple[list[SweepRow], Mapping[str, Value], HeadlessFlight]:
-    """Fly draw k of a plan.
-
-    Args:
-        plan: the sweep.
-        k: number of the draw.
-        room: an earlier flight, which is overwritten.
-        check: what the dry run before the flight said, for the rows.
-
-    Returns:
-        The rows of its UAVs, what was drawn, and the flight as room for the next one.
-    """
+    """The rows of draw k, flown, what was drawn, and the flight as `room` for the next one, which overwrites it."""
     scenario, values = drawn_scenario(plan, k)
     flight = fly(scenario, room=room)
     return rows_of(k, scenario, recording_of(flight), check), values, flight
 
 
+_OF_VERDICT = {
+    "cause": "reason",
+    "largest_after_m": "max_error_after_m",
+    "largest_after_all_m": "max_error_after_all_m",
+}
+"""Columns that have another name in the verdict."""
+
+
 def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = "") -> list[SweepRow]:
     """The rows of one flight; `check` is what the dry run before it said."""
     verdict = verdict_on(recording)
-    efforts = {one.uav: one for one in verdict.efforts}
-    near = _nearest(scenario, verdict)
+    efforts = {effort.uav: effort for effort in verdict.efforts}
+    near, span_ns = _nearest(scenario, verdict), (recording.start_ns, recording.end_ns)
     rows = []
-    for one in verdict.uavs:
-        counters = recording.counters[one.uav]
-        begin_ns, end_ns = recording.start_ns, recording.end_ns
-        room = near[one.uav]
+    for of in verdict.uavs:
+        values: dict[str, Any] = {
+            field.name: getattr(of, _OF_VERDICT.get(field.name, field.name), None)
+            for field in fields(SweepRow)
+        }
         rows.append(
-            SweepRow(
+            replace(
+                SweepRow(**values),
                 draw=draw,
-                uav=one.uav,
-                slot=one.slot,
-                verdict=one.verdict,
-                cause=one.reason,
                 flight_verdict=verdict.verdict,
-                deadline_s=float(one.deadline_s),
-                start_error_m=one.start_error_m,
-                tolerance_m=one.tolerance_m,
-                band_m=one.band_m,
-                settling_s=one.settling_s,
-                error_at_deadline_m=one.error_at_deadline_m,
-                largest_after_m=one.max_error_after_m,
-                largest_after_all_m=one.max_error_after_all_m,
-                rmse_after_m=one.rmse_after_m,
-                encounter_s=one.encounter_s,
-                excused_outside_s=one.excused_outside_s,
-                regained_s=one.regained_s,
-                recovery_s=one.recovery_s,
-                avoidance_s=counter_rise(counters, "avoidance_active_s", begin_ns, end_ns),
-                deadlock_s=counter_rise(counters, "deadlock_s", begin_ns, end_ns),
-                saturated_s=one.saturated_s,
-                holding_s=one.holding_s,
-                closest_uav_m=room.uav_m,
-                closest_obstacle_m=room.obstacle_m,
-                inside_keep_out_s=room.inside_s,
-                peak_force_n=efforts[one.uav].peak_force_n,
-                energy_n2_s=efforts[one.uav].energy,
+                deadline_s=float(of.deadline_s),
+                avoidance_s=counter_rise(recording, of.uav, "avoidance_active_s", *span_ns),
+                deadlock_s=counter_rise(recording, of.uav, "deadlock_s", *span_ns),
+                closest_uav_m=near[of.uav].uav_m,
+                closest_obstacle_m=near[of.uav].obstacle_m,
+                inside_keep_out_s=near[of.uav].inside_s,
+                peak_force_n=efforts[of.uav].peak_force_n,
+                energy_n2_s=efforts[of.uav].energy,
                 check=check,
             )
         )
@@ -149,22 +123,18 @@ class _Room:
     obstacle_m: float | None = None
     inside_s: float = 0.0
 
-    def take(self, pair: Separation, *, obstacle: bool) -> None:
-        """One of its pairs."""
-        self.inside_s += pair.inside_s
-        if obstacle:
-            room = pair.distance_m - pair.keep_out_m
-            self.obstacle_m = min(inf if self.obstacle_m is None else self.obstacle_m, room)
-        else:
-            self.uav_m = min(inf if self.uav_m is None else self.uav_m, pair.distance_m)
-
 
 def _nearest(scenario: Scenario, verdict: Verdict) -> dict[int, _Room]:
-    found = {f"uav{uav}": _Room() for uav in scenario.uav_ids}
-    obstacles = {one.name for one in scenario.world.bodies}
+    rooms = {f"uav{uav}": _Room() for uav in scenario.uav_ids}
     for pair in verdict.separations:
-        of_obstacle = pair.second in obstacles
-        found[pair.first].take(pair, obstacle=of_obstacle)
-        if not of_obstacle:
-            found[pair.second].take(pair, obstacle=False)
-    return {int(name.removeprefix("uav")): room for name, room in found.items()}
+        for name in (pair.first, pair.second):
+            if name not in rooms:
+                continue  # an obstacle
+            room = rooms[name]
+            room.inside_s += pair.inside_s
+            if pair.second in rooms:
+                room.uav_m = min(inf if room.uav_m is None else room.uav_m, pair.distance_m)
+            else:
+                beyond_m = pair.distance_m - pair.keep_out_m
+                room.obstacle_m = min(inf if room.obstacle_m is None else room.obstacle_m, beyond_m)
+    return {int(name.removeprefix("uav")): room for name, room in rooms.items()}

@@ -6,33 +6,207 @@ early is continued from its chunks. The table does not depend on who flew which 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
 import os
+import re
 import signal
 import threading
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
+from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
-from ptnsbc_sim.sweep.chunks import (
-    chunk_count,
-    chunk_draws,
-    fly_chunk,
-    join_chunks,
-    made_by,
-    made_by_others,
-    schema,
-)
+from ptnsbc_sim.scenario.fields import unit_of
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.draws import SweepError
-from ptnsbc_sim.sweep.plan import SweepPlan
-from ptnsbc_sim.sweep.rows import fly_draw
+from ptnsbc_sim.sweep.dry_run import dry_run_says
+from ptnsbc_sim.sweep.family import family_columns, family_from_text
+from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values
+from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+CHUNK_DRAWS = 25
+"""Draws of a chunk. A part of the format: a sweep is continued by its chunks, whoever flew them."""
+
+DRAWN = "drawn."
+"""Prefix of the columns that hold what was drawn."""
+
+_FILE = re.compile(r"(/[^\n'\"]+?\.py):[A-Za-z_]")  # of a function of the user
+
+
+def chunk_count(plan: SweepPlan) -> int:
+    """The number of chunks of a sweep."""
+    return -(-plan.draws // CHUNK_DRAWS)
+
+
+def chunk_draws(plan: SweepPlan, index: int) -> range:
+    """The draws of a chunk."""
+    return range(index * CHUNK_DRAWS, min((index + 1) * CHUNK_DRAWS, plan.draws))
+
+
+def fly_chunk(plan_json: str, index: int) -> bytes:
+    """Fly all draws of a chunk, one after the other in the same memory; returns a Parquet file with their rows.
+
+    A draw that cannot be flown has one row with the cause.
+    """
+    plan = SweepPlan.from_json(plan_json)
+    rows: list[SweepRow] = []
+    drawn: list[Mapping[str, Value]] = []
+    room: HeadlessFlight | None = None
+    for k in chunk_draws(plan, index):
+        try:
+            check = dry_run_says(plan, k) if plan.check else ""
+            found, values, room = fly_draw(plan, k, room, check)
+        except PtnsbcError as error:
+            found, values = [not_flown(k, str(error))], axis_values(plan, k)
+        rows += found
+        drawn += [values] * len(found)
+    return _parquet(_table(plan, rows, drawn))
+
+
+class ColumnKind(NamedTuple):
+    """A column of the table of a sweep."""
+
+    name: str
+    kind: str  # int, float, str or bool
+    unit: str  # empty for words and numbers without one
+
+
+@lru_cache(maxsize=2)
+def columns_of(plan: SweepPlan) -> tuple[ColumnKind, ...]:
+    """The columns of the table: what is drawn, then the figures of a UAV."""
+    drawn = dict(family_columns(family_from_text(plan.family))) if plan.family else {}
+    for axis in plan.axes:
+        kinds = {type(value) for value in axis.values}
+        if axis.random or (kinds <= {int, float} and kinds != {int}):
+            drawn[axis.key] = "float"
+        else:
+            drawn[axis.key] = kinds.pop().__name__ if kinds in ({int}, {bool}) else "str"
+    units = {key: unit_of(key.rpartition(".")[2]) or "" for key in drawn}
+    return (
+        *(ColumnKind(f"{DRAWN}{key}", kind, units[key]) for key, kind in drawn.items()),
+        *(
+            ColumnKind(field.name, str(field.type).partition(" ")[0], UNITS[field.name])
+            for field in fields(SweepRow)
+        ),
+    )
+
+
+@lru_cache(maxsize=2)
+def schema(plan: SweepPlan) -> pa.Schema:
+    """Columns of the table, units in the metadata of each, plan and versions in that of the file."""
+    import pyarrow as pa
+
+    types = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
+    columns = [
+        pa.field(name, types[kind], metadata={"unit": unit} if unit else {})
+        for name, kind, unit in columns_of(plan)
+    ]
+    return pa.schema(
+        columns, metadata={"ptnsbc.plan": plan.to_json(), "ptnsbc.made_by": made_by(plan)}
+    )
+
+
+def made_by_others(chunk: Path, today: str) -> bool:
+    """True if the flights in the file of a chunk were flown by other laws or library versions than `made_by` says."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(chunk).metadata or {}
+    except (OSError, pa.ArrowInvalid):  # a damaged file is nobody's
+        return True
+    return metadata.get(b"ptnsbc.made_by") != today.encode()
+
+
+def made_by(plan: SweepPlan) -> str:
+    """All that decides the figures besides the plan, as JSON; the same sweep gives the same bytes."""
+    made = {}
+    for package in ("ptnsbc", "numpy", "numba"):
+        with suppress(PackageNotFoundError):
+            made[package] = version(package)
+    made["kernels"] = source_digest()
+    texts = [plan.scenario, *(str(value) for axis in plan.axes for value in axis.values)]
+    for name in sorted({name for text in texts for name in _FILE.findall(text)}):
+        try:
+            made[f"file {name}"] = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+        except OSError:  # the first flight says so
+            made[f"file {name}"] = ""
+    return json.dumps(made)
+
+
+def _table(
+    plan: SweepPlan, rows: Sequence[SweepRow], drawn: Sequence[Mapping[str, Value]]
+) -> pa.Table:
+    import pyarrow as pa
+
+    cells = {"int": int, "float": float, "bool": bool, "str": str}
+    arrays = []
+    for (name, kind, _), field in zip(columns_of(plan), schema(plan), strict=True):
+        if name.startswith(DRAWN):
+            given = [of.get(name.removeprefix(DRAWN)) for of in drawn]
+            values = [None if value is None else cells[kind](value) for value in given]
+        else:
+            values = [getattr(row, name) for row in rows]
+        arrays.append(_array(values, field.type))
+    return pa.Table.from_arrays(arrays, schema=schema(plan))
+
+
+def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """As `pa.array(values, kind)`, which imports pandas to look at a list: a third of a second in every worker."""
+    import pyarrow as pa
+
+    there = np.array([value is not None for value in values], dtype=bool)
+    if pa.types.is_string(kind):
+        words = [b"" if value is None else value.encode() for value in values]
+        ends = np.cumsum([0, *map(len, words)], dtype=np.int32)
+        content = [pa.py_buffer(ends), pa.py_buffer(b"".join(words))]
+    else:
+        numbers = np.array([0 if value is None else value for value in values])
+        if pa.types.is_boolean(kind):
+            numbers = np.packbits(numbers.astype(bool), bitorder="little")
+        else:
+            numbers = numbers.astype(kind.to_pandas_dtype())
+        content = [pa.py_buffer(numbers)]
+    bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(values), [bits, *content])
+
+
+def _parquet(table: pa.Table) -> bytes:
+    import pyarrow.parquet as pq
+
+    out = BytesIO()
+    pq.write_table(table, out, compression="zstd")
+    return out.getvalue()
+
+
+def join_chunks(plan: SweepPlan, chunks: Iterable[bytes]) -> bytes:
+    """The table of a sweep from its chunks, in their order."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables = [pq.read_table(BytesIO(chunk)) for chunk in chunks]
+    whole = pa.concat_tables(tables) if tables else schema(plan).empty_table()
+    return _parquet(whole.replace_schema_metadata(schema(plan).metadata))
+
 
 PLAN, CHUNKS, TABLE = "plan.json", "chunks", "table.parquet"
 
@@ -92,20 +266,18 @@ def run(
 
     Args:
         plan: what to fly.
-        folder: where the chunks and the table are written; of the same plan when it exists.
+        folder: of the chunks and the table; with those of the same plan when it exists.
         workers: processes on this machine, by default one for each core.
         scheduler: address of a dask scheduler whose workers fly instead.
         progress: called with (flights done, flights in all).
-
-    Returns:
-        The table's place, and the chunks that failed.
 
     Raises:
         SweepError: the folder holds another plan, or flights of other laws.
         KeyboardInterrupt: ended early; chunks that are done stay, and the next run continues.
     """
     _prepare(plan, folder)
-    missing = [index for index in range(chunk_count(plan)) if not _chunk(folder, index).exists()]
+    chunks = [folder / CHUNKS / f"{index:05d}.parquet" for index in range(chunk_count(plan))]
+    missing = [index for index, chunk in enumerate(chunks) if not chunk.exists()]
     done = plan.draws - sum(len(chunk_draws(plan, index)) for index in missing)
     if progress is not None:
         progress(done, plan.draws)
@@ -117,52 +289,45 @@ def run(
         if failure is not None:
             failed.append(failure)
         if outcome.data:
-            with replacing(_chunk(folder, outcome.index)) as part:
+            with replacing(chunks[outcome.index]) as part:
                 part.write_bytes(outcome.data)
             done += len(chunk_draws(plan, outcome.index))
             if progress is not None:
                 progress(done, plan.draws)
-    here = (_chunk(folder, index) for index in range(chunk_count(plan)))
     with replacing(folder / TABLE) as part:
-        part.write_bytes(join_chunks(plan, (p.read_bytes() for p in here if p.exists())))
+        part.write_bytes(join_chunks(plan, (p.read_bytes() for p in chunks if p.exists())))
     return SweepResult(plan, folder, tuple(sorted(failed, key=lambda one: one.index)))
 
 
-def _chunk(folder: Path, index: int) -> Path:
-    return folder / CHUNKS / f"{index:05d}.parquet"
+def held(folder: Path, plan: SweepPlan) -> str:
+    """Why the sweep in a folder cannot go on with this plan, in words; empty when it can, or there is none."""
+    path, today = folder / PLAN, made_by(plan)
+    if not path.is_file():
+        return ""
+    if path.read_text(encoding="utf-8") != plan.to_json():
+        return "a sweep of another plan"
+    chunks = (folder / CHUNKS).glob("*.parquet")
+    if any(made_by_others(chunk, today) for chunk in chunks):
+        return "flights of other laws or library versions"
+    return ""
 
 
 def _prepare(plan: SweepPlan, folder: Path) -> None:
-    path, text = folder / PLAN, plan.to_json()
-    if path.exists():
-        if path.read_text(encoding="utf-8") != text:
-            raise SweepError(
-                f"{folder}: holds a sweep of another plan: expected an empty folder, or the same plan"
-            )
-        if flown_by_others(folder, plan):
-            raise SweepError(
-                f"{folder}: holds flights of other laws or library versions, which do not belong into one "
-                "table with those of today: expected an empty folder"
-            )
-    elif folder.exists() and any(folder.iterdir()):
-        raise SweepError(f"{folder}: holds other files: expected an empty folder, or a sweep")
+    path, other = folder / PLAN, held(folder, plan)
+    if not path.exists() and folder.exists() and any(folder.iterdir()):
+        other = "other files"
+    if other:
+        raise SweepError(f"{folder}: holds {other}: expected an empty folder, or the same sweep")
     (folder / CHUNKS).mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
-        part.write_bytes(text.encode())
-
-
-def flown_by_others(folder: Path, plan: SweepPlan) -> bool:
-    """True if a folder holds flights of other laws, the user's too, or library versions."""
-    today = made_by(plan)
-    return any(made_by_others(chunk, today) for chunk in (folder / CHUNKS).glob("*.parquet"))
+        part.write_bytes(plan.to_json().encode())
 
 
 class _Queue:
     """The chunks that are still to be flown, and how often each has failed."""
 
     def __init__(self, plan: SweepPlan, missing: Iterable[int]) -> None:
-        self.text = plan.to_json()
-        self._plan = plan
+        self.plan, self.text = plan, plan.to_json()
         self._waiting = deque(missing)
         self._errors: Counter[int] = Counter()
         self._deaths: Counter[int] = Counter()
@@ -183,7 +348,7 @@ class _Queue:
         if self._errors[index] < _MOST_ERRORS and self._deaths[index] < _MOST_DEATHS:
             self._waiting.append(index)
             return None
-        return FailedChunk(index, chunk_draws(self._plan, index), outcome.error)
+        return FailedChunk(index, chunk_draws(self.plan, index), outcome.error)
 
 
 def _outcome(index: int, work: Callable[[], bytes]) -> _Outcome:
@@ -206,18 +371,13 @@ def _with_processes(queue: _Queue, _: str, workers: int) -> Iterator[_Outcome]:
             index = queue.take()
             yield _outcome(index, lambda index=index: fly_chunk(queue.text, index))  # type: ignore[misc]
         return
-    _warm_up(queue.text)
-    while len(queue):  # again when a worker has ended, which ends its pool
-        yield from _pool(queue, workers)
-
-
-def _warm_up(plan_json: str) -> None:
-    """Load what a chunk needs before the workers are forked: they have it at once."""
+    # What a chunk needs is loaded before the workers are forked: they have it at once.
     import pyarrow.parquet  # noqa: F401
 
-    plan = SweepPlan.from_json(plan_json)
-    schema(plan)
-    fly_draw(plan, 0)  # in full: the kernels that judge an encounter are among them
+    schema(queue.plan)
+    fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
+    while len(queue):  # again when a worker has ended, which ends its pool
+        yield from _pool(queue, workers)
 
 
 def _pool(queue: _Queue, workers: int) -> Iterator[_Outcome]:
@@ -247,12 +407,12 @@ def depend_on_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
+        def end_with_parent() -> None:
+            parent.join()
+            os._exit(1)
 
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
+        threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def _with_dask(queue: _Queue, address: str, _: int) -> Iterator[_Outcome]:

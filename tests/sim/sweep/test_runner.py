@@ -13,16 +13,18 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, parse_axis, parse_starts, run, runner
-from ptnsbc_sim.sweep import chunks as chunks_module
-from ptnsbc_sim.sweep.chunks import CHUNK_DRAWS, chunk_count, fly_chunk
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, rows_of
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, _array, chunk_count, fly_chunk
+from ptnsbc_sim.verdict.recording import recording_of
 
+pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
 KAPPA = "gains.formation.kappa_1_s"
 
@@ -119,7 +121,7 @@ def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
 ) -> None:
     plan = small(2, stop_after_s=0.1)
     chunk = run(plan, tmp_path, workers=1).folder / runner.CHUNKS / "00000.parquet"
-    assert not runner.flown_by_others(tmp_path, plan)
+    assert not runner.held(tmp_path, plan)
     if damage == "other laws":
         table = pq.read_table(chunk)
         made_by = json.loads(table.schema.metadata[b"ptnsbc.made_by"]) | {"kernels": "of last week"}
@@ -139,7 +141,7 @@ def test_flights_of_a_law_that_the_user_has_changed_are_not_mixed(tmp_path: Path
     plan = plan_of(base(law=f"{law}:still"), 2, stop_after_s=0.1, starts=parse_starts("near:0.1"))
     folder = tmp_path / "sweep"
     run(plan, folder, workers=1)
-    assert not runner.flown_by_others(folder, plan)
+    assert not runner.held(folder, plan)
     law.write_text("def still(inputs):\n    return 0.0, 0.0, 0.1\n")
     with pytest.raises(SweepError, match="other laws"):
         run(plan, folder, workers=1)
@@ -183,7 +185,7 @@ def _dying_once(text: str, index: int) -> bytes:
     if index == 1 and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return chunks_module.fly_chunk(text, index)
+    return fly_chunk(text, index)
 
 
 @pytest.mark.slow
@@ -225,7 +227,33 @@ def test_workers_end_with_a_sweep_that_is_killed(tmp_path: Path) -> None:
 
 def test_chunks_cover_all_draws() -> None:
     plan = small(60)
-    found = [
-        k for index in range(chunk_count(plan)) for k in chunks_module.chunk_draws(plan, index)
-    ]
+    found = [k for index in range(chunk_count(plan)) for k in runner.chunk_draws(plan, index)]
     assert found == list(range(60))
+
+
+KINDS = {
+    pa.int64(): st.integers(-(2**63), 2**63 - 1),
+    pa.float64(): st.floats(),
+    pa.string(): st.text(),
+    pa.bool_(): st.booleans(),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@given(data=st.data())
+def test_a_column_is_that_of_pyarrow(kind, data):
+    values = data.draw(st.lists(st.none() | KINDS[kind], max_size=40))
+    found, expected = _array(values, kind), pa.array(values, kind)
+    found.validate(full=True)
+    assert (found.type, found.null_count) == (expected.type, expected.null_count)
+    assert repr(found.to_pylist()) == repr(expected.to_pylist())
+
+
+def test_a_worker_needs_no_pandas():
+    told = (
+        "import sys, pyarrow as pa; from ptnsbc_sim.sweep.runner import _array; "
+        "_array([1.0, None], pa.float64()); _array(['a', None], pa.string()); "
+        "print('pandas' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
