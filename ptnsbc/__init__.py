@@ -7,7 +7,8 @@
     print(flight.verdict.verdict, flight.error_m.max())
     flight.plot_errors()
 
-docs/library.md says more. What this module names stays; modules below it may change.
+docs/library.md says more. What this module names stays; modules below it may change. `progress`: show progress on
+stderr; by default in a terminal and in a notebook.
 """
 
 from ptnsbc_core.errors import PtnsbcError
@@ -34,7 +35,7 @@ from ptnsbc_tools.library.reporting import Report, export, report
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.replay.rerun import Rerun
 from ptnsbc_tools.sweeps.comparison import SweepComparison
-from ptnsbc_tools.sweeps.table import Share
+from ptnsbc_tools.sweeps.summary import Share
 
 __all__ = [
     "new",

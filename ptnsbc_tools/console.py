@@ -74,33 +74,29 @@ def narrowed(table: Table, console: Console) -> list[Table]:
     from rich.measure import Measurement
     from rich.table import Table
 
-    def fits(one: Table) -> bool:
-        return Measurement.get(console, console.options.update(width=1000), one).minimum <= limit
+    wide, columns = console.options.update(width=1000), table.columns
 
-    limit, columns = console.width, table.columns
-    found: list[Table] = []
+    def fits(part: Table) -> bool:
+        return Measurement.get(console, wide, part).minimum <= console.width
+
+    def part(chosen: list[int], title: Any) -> Table:
+        narrow = Table(title=title, title_justify="left", title_style=table.title_style)
+        for column in (columns[number] for number in chosen):
+            narrow.add_column(column.header, justify=column.justify, overflow="fold")
+        cells = zip(*(columns[number].cells for number in chosen), strict=True)
+        for row, of_row in zip(table.rows, cells, strict=True):
+            narrow.add_row(*of_row, style=row.style)
+        return narrow
+
     if fits(table) or len(columns) < 3:
         return [table]
-    rows = [row.style for row in table.rows]
-
-    def part(chosen: list[int]) -> Table:
-        title = None if found else table.title
-        made = Table(title=title, title_justify="left", title_style=table.title_style)
-        for number in chosen:
-            own = columns[number]
-            made.add_column(own.header, justify=own.justify, overflow="fold")
-        cells = [list(columns[number].cells) for number in chosen]
-        for style, row in zip(rows, zip(*cells, strict=True), strict=True):
-            made.add_row(*row, style=style)
-        return made
-
-    chosen = [0]
+    chosen = [[0]]  # the columns of each part
     for number in range(1, len(columns)):
-        if len(chosen) > 1 and not fits(part([*chosen, number])):
-            found.append(part(chosen))
-            chosen = [0]
-        chosen.append(number)
-    return [*found, part(chosen)]
+        title = None if chosen[1:] else table.title
+        if len(chosen[-1]) > 1 and not fits(part([*chosen[-1], number], title)):
+            chosen.append([0])
+        chosen[-1].append(number)
+    return [part(numbers, None if k else table.title) for k, numbers in enumerate(chosen)]
 
 
 def say(line: str) -> None:
@@ -182,12 +178,7 @@ def watched() -> bool:
 
 @contextmanager
 def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
-    """Progress on stderr: a bar on a terminal, else a line every few seconds.
-
-    Args:
-        label: what is done.
-        wanted: False: none; None: only where somebody looks.
-    """
+    """Progress on stderr: a bar on a terminal, else a line every few seconds; None: only where somebody looks."""
     if not (watched() if wanted is None else wanted):
         yield lambda done, total: None
         return

@@ -35,33 +35,41 @@ def _finding(key: str, value: str, limit: str, advice: str, severity: str = WARN
     return Finding(severity if advice else INFO, key, value, limit, advice)
 
 
-def _python() -> Findings:
+def _machine() -> Findings:
     good = _LEAST_PYTHON <= sys.version_info[:2] < _NEXT_PYTHON and platform.system() == "Linux"
     value = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
     advice = "" if good else "make setup PYTHON=python3.12"
     yield _finding("platform", value, "Linux, Python 3.10 to 3.13", advice, ERROR)
-
-
-def _cores() -> Findings:
-    count = len(os.sched_getaffinity(0))
+    count, limit = len(os.sched_getaffinity(0)), ">= 4 for a fleet in real time"
     advice = "fly in lock-step (--lockstep), or in one process (ptnsbc simulate)"
-    yield _finding(
-        "cores", str(count), ">= 4 for a fleet in real time", advice if count < 4 else ""
-    )
-    late = sorted(_lateness_ms() for _ in range(_WAKES))[int(0.95 * _WAKES)]
-    value, limit = f"{late:.2f} ms late, 95 % of {_WAKES}", f"<= {_LATE_MS:g} ms"
-    advice = "end other programs, or fly in lock-step" if late > _LATE_MS else ""
+    yield _finding("cores", str(count), limit, advice if count < 4 else "")
+    lateness_ms = []
+    for _ in range(_WAKES):  # how late the kernel wakes a process that sleeps for a millisecond
+        due_s = time.monotonic() + 1e-3
+        time.sleep(1e-3)
+        lateness_ms.append(1e3 * (time.monotonic() - due_s))
+    late_ms = sorted(lateness_ms)[int(0.95 * _WAKES)]
+    value, limit = f"{late_ms:.2f} ms late, 95 % of {_WAKES}", f"<= {_LATE_MS:g} ms"
+    advice = "end other programs, or fly in lock-step" if late_ms > _LATE_MS else ""
     yield _finding("timers", value, limit, advice)
-
-
-def _lateness_ms() -> float:
-    """The lateness with which the kernel wakes a process that sleeps for a millisecond, by real sleeps."""
-    wanted = time.monotonic() + 1e-3
-    time.sleep(1e-3)
-    return 1e3 * (time.monotonic() - wanted)
+    # The kernel says whether something keeps the clock right; a fleet on one host does not need it.
+    state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
+    good, limit = (
+        state not in (-1, _UNSYNCHRONISED),
+        "synchronised, for fleets on several computers",
+    )
+    value = "synchronised" if good else "not synchronised, says the kernel"
+    advice = "install chrony or start systemd-timesyncd; one host alone needs neither"
+    yield _finding("clock", value, limit, "" if good else advice)
+    free = shutil.disk_usage(Path.cwd()).free
+    value, limit = f"{free / 1e9:.1f} GB free here", f">= {_LEAST_FREE_B / 1e9:g} GB"
+    advice = "record elsewhere: --bag DIR" if free < _LEAST_FREE_B else ""
+    yield _finding("disk", value, limit, advice)
 
 
 def _middleware() -> Findings:
+    from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
+
     try:
         with ros.required():
             import rclpy
@@ -79,29 +87,13 @@ def _middleware() -> Findings:
     wide = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
     advice = "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else ""
     yield _finding("discovery", shown, "this host alone, unless --network", advice)
-    yield _domain()
-
-
-def _domain() -> Finding:
-    from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
-
+    value, advice = "", ""
     try:
         with reserved_domain() as domain:
-            return Finding(INFO, "domain", f"{domain} is free", "one free ROS domain", "")
+            value = f"{domain} is free"
     except (DomainError, OSError) as error:
-        return Finding(ERROR, "domain", str(error), "one free ROS domain", "end other fleets")
-
-
-def _clock() -> Findings:
-    # The kernel says whether something keeps the clock right; a fleet on one host does not need it.
-    state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
-    good = state not in (-1, _UNSYNCHRONISED)
-    yield _finding(
-        "clock",
-        "synchronised" if good else "not synchronised, says the kernel",
-        "synchronised, for fleets on several computers",
-        "" if good else "install chrony or start systemd-timesyncd; one host alone needs neither",
-    )
+        value, advice = str(error), "end other fleets"
+    yield _finding("domain", value, "one free ROS domain", advice, ERROR)
 
 
 def _cache() -> Findings:
@@ -117,22 +109,15 @@ def _cache() -> Findings:
     yield Finding(WARNING if not writable else INFO, "cache", value, "a writable folder", advice)
 
 
-def _disk() -> Findings:
-    free = shutil.disk_usage(Path.cwd()).free
-    value, limit = f"{free / 1e9:.1f} GB free here", f">= {_LEAST_FREE_B / 1e9:g} GB"
-    advice = "record elsewhere: --bag DIR" if free < _LEAST_FREE_B else ""
-    yield _finding("disk", value, limit, advice)
-
-
 def _libraries() -> Findings:
-    wanted = {
-        "pymavlink": ("bridges and stand-ins", 'pip install "ptnsbc[mavlink]"'),
-        "pandas": ("to_pandas()", 'pip install "ptnsbc[tables]"'),
-    }
-    for name, (use, advice) in wanted.items():
-        there = find_spec(name) is not None
-        value = "installed" if there else "not installed"
-        yield Finding(INFO, name, value, f"for {use} only", "" if there else advice)
+    for name, use, extra in (
+        ("pymavlink", "bridges and stand-ins", "mavlink"),
+        ("pandas", "to_pandas()", "tables"),
+    ):
+        value, advice = "not installed", f'pip install "ptnsbc[{extra}]"'
+        if find_spec(name) is not None:
+            value, advice = "installed", ""
+        yield Finding(INFO, name, value, f"for {use} only", advice)
 
 
 def ports(scenario: Scenario) -> Findings:
@@ -155,7 +140,7 @@ def ports(scenario: Scenario) -> Findings:
 
 def examine(scenario: Scenario | None = None) -> list[Finding]:
     """The findings, errors first; with a scenario the ports of its bridges too."""
-    looks = (_python, _cores, _middleware, _clock, _cache, _disk, _libraries)
+    looks = (_machine, _middleware, _cache, _libraries)
     found = [finding for look in looks for finding in look()]
     found += ports(scenario) if scenario is not None else ()
     rank = {ERROR: 0, WARNING: 1, INFO: 2}

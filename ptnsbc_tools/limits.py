@@ -18,13 +18,6 @@ class LimitError(PtnsbcError):
 def refuse_outside(
     name: str, value: float | None, low: float = 0.0, high: float = LONGEST_S
 ) -> None:
-    """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value.
-
-    Args:
-        name: of the argument, with its unit.
-        value: what was given.
-        low: smallest value.
-        high: largest value.
-    """
+    """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value."""
     if value is not None and not low <= value <= high:
         raise LimitError(f"{name}: {value:g}: expected {low:g} to {high:g}")

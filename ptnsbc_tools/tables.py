@@ -105,41 +105,23 @@ def deadline_table(verdict: Verdict) -> Table:
     return table
 
 
-def _regained_tables(verdict: Verdict) -> list[Table]:
-    """The times after an encounter at which every UAV was back in its place; none without encounters."""
-    found = [one for one in verdict.uavs if one.regained_s is not None]
-    if not found:
-        return []
-    table = _table("Way back after encounters", ("UAV",), _REGAINED)
-    for one in found:
-        table.add_row(str(one.uav), *_numbers(one, _REGAINED))
-    return [table]
-
-
-def _change_tables(verdict: Verdict) -> list[Table]:
+def _change_table(verdict: Verdict) -> Table | None:
     """One row per leg of the mission, or per change of the shape that was due: the worst UAV."""
     if verdict.mission:
-        return [_mission_table(verdict)]
-    found = [
-        (one.uav, change) for leg in verdict.legs for one in leg.uavs for change in one.changes
-    ]
-    reached = [(uav, change) for uav, change in found if change.error_m is not None]
+        table = _table("Legs of the mission", ("leg", "kind", "verdict"), _LEGS)
+        for leg in verdict.mission:
+            table.add_row(leg.name, leg.kind, word(leg.verdict), *_numbers(leg, _LEGS))
+        return table
+    uavs = [uav for leg in verdict.legs for uav in leg.uavs]
+    reached = [(of.uav, due) for of in uavs for due in of.changes if due.error_m is not None]
     if not reached:
-        return []
+        return None
     table = _table("Changes of the shape", ("change",), _CHANGES)
     table.add_column("of UAV", justify="right")
-    for number in sorted({change.number for _, change in reached}):
-        of_change = [(uav, change) for uav, change in reached if change.number == number]
-        uav, worst = max(of_change, key=lambda one: one[1].error_m or 0.0)
+    for number in sorted({due.number for _, due in reached}):
+        of_change = [(uav, due) for uav, due in reached if due.number == number]
+        uav, worst = max(of_change, key=lambda of: of[1].error_m or 0.0)
         table.add_row(str(number), *_numbers(worst, _CHANGES), str(uav))
-    return [table]
-
-
-def _mission_table(verdict: Verdict) -> Table:
-    table = _table("Legs of the mission", ("leg", "kind", "verdict"), _LEGS)
-    for leg in verdict.mission:
-        of = (leg.name, leg.kind, word(leg.verdict))
-        table.add_row(*of, *_numbers(leg, _LEGS))
     return table
 
 
@@ -162,7 +144,14 @@ def mission_list(found: Mapping[str, Any]) -> Table:
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
     """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
-    tables = [deadline_table(verdict), *_regained_tables(verdict), *_change_tables(verdict)]
+    tables = [deadline_table(verdict)]
+    regained = [uav for uav in verdict.uavs if uav.regained_s is not None]
+    if regained:
+        tables.append(back := _table("Way back after encounters", ("UAV",), _REGAINED))
+        for of in regained:
+            back.add_row(str(of.uav), *_numbers(of, _REGAINED))
+    if changes := _change_table(verdict):
+        tables.append(changes)
     if verdict.efforts:
         tables.append(effort := _table("Input", ("UAV",), _EFFORT))
         for one in verdict.efforts:

@@ -17,7 +17,7 @@ from ptnsbc_core.nullspace import compose, null_space_projector
 from ptnsbc_core.timebase import h
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
-from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
+from ptnsbc_tools.plotting.charts import COLOURS, GOOD, OBSTACLE
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "img" / "concepts"

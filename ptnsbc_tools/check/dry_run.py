@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sweep.dry_run import RUNS, START_M, DryRun, dry_run, remedies
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
-from ptnsbc_tools.sweeps.table import share
+from ptnsbc_tools.sweeps.summary import share
 
 KEY = "dry run"
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.options import BagArgument, JsonOption, PictureOption, Reading, argument, option
-
-if TYPE_CHECKING:
-    from ptnsbc_tools.plotting.charts import FlightView
 
 _NO_VERDICT = 1
 _ALL = "all"
@@ -77,14 +74,9 @@ def report(
             bag, out, other=other, options=reading.options(), pictures=pictures, progress=True
         )
     if json:
-        console.print_json(
-            {
-                "report": str(made.page),
-                "pictures": [str(picture) for picture in made.pictures],
-                "verdict": made.verdict,
-                "problem": made.problem or None,
-            }
-        )
+        pictures_made = [str(picture) for picture in made.pictures]
+        about = {"verdict": made.verdict, "problem": made.problem or None}
+        console.print_json({"report": str(made.page), "pictures": pictures_made, **about})
     else:
         print(made.page)
     if made.problem:
@@ -119,30 +111,44 @@ def plot(
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
     from mimetypes import guess_type
 
+    from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.library.reporting import figures
     from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.charts import read_view
 
-    keys = _keys(what)
-    one = out is not None and out.suffix.lower() in draw.FORMATS
-    pages = out if out is not None and out.suffix.lower() == ".pdf" else None
+    keys, kind = _keys(what), "" if out is None else out.suffix.lower()
+    one = kind in draw.FORMATS
     if out is not None and not one and not out.is_dir() and guess_type(out.name)[0] is not None:
         formats = f"{', '.join(draw.FORMATS[:-1])} or {draw.FORMATS[-1]}"
         raise PlotError(f"--output {out}: expected a folder, or FILE with {formats}")
-    if one and pages is None and len(keys) != 1:
+    if one and kind != ".pdf" and len(keys) != 1:
         raise PlotError(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
     with console.patience(f"reading {bag}"):
-        shown = read_view(bag, reading.options())
+        shown = flight_in(bag, reading.options()).view
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
-    folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"
-    written = _draw(shown, keys, folder, f".{form}", one, pages)
+    folder = out or _beside(bag, "-figures")
+    if kind == ".pdf":
+        drawn = [figure for _, figure in figures(shown, keys)]
+        written = [draw.save_pages(drawn, folder)] if drawn else []
+    else:
+        written = [
+            draw.save(figure, folder if one else folder / f"{key}.{form}")
+            for key, figure in figures(shown, keys)
+        ]
+    if not written:
+        reason = shown.problem or "the bag has no data for it"
+        raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
     if json:
         console.print_json({"figures": [str(path) for path in written]})
     else:
         for path in written:
             print(path)
+
+
+def _beside(bag: Path, suffix: str) -> Path:
+    return bag.parent / f"{bag.stem if bag.is_file() else bag.name}{suffix}"
 
 
 def _keys(what: str) -> list[str]:
@@ -155,35 +161,9 @@ def _keys(what: str) -> list[str]:
         **{key: [key] for key in CHARTS},
     }
     names = [name.strip() for name in what.split(",") if name.strip()]
-    unknown = [name for name in names if name not in groups]
-    if unknown or not names:
+    if not names or any(name not in groups for name in names):
         raise PlotError(f"--what {what}: expected one or more of {', '.join(groups)}")
     return list(dict.fromkeys(key for name in names for key in groups[name]))
-
-
-def _draw(
-    shown: FlightView, keys: list[str], out: Path, suffix: str, one: bool, pages: Path | None
-) -> list[Path]:
-    from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.charts import CHARTS
-
-    written: list[Path] = []
-    figures: list[Any] = []
-    with console.progress("drawing") as advance:
-        for done, key in enumerate(keys, start=1):
-            chart = CHARTS[key](shown) if shown.uavs else None
-            if chart is not None:
-                figures.append(draw.figure_of(chart, shown.scenario.name))
-                path = out if one else out / f"{key}{suffix}"
-                if pages is None:
-                    written.append(draw.save(figures.pop(), path))
-            advance(done, len(keys))
-    if pages is not None and figures:
-        written.append(draw.save_pages(figures, pages))
-    if not written:
-        reason = shown.problem or "the bag has no data for it"
-        raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
-    return written
 
 
 def export(
@@ -200,30 +180,23 @@ def export(
     metadata. Times count from the epoch; ENU is the world frame. Foxglove, PlotJuggler and Rerun read the
     .mcap file of a bag as it is.
     """
+    from ptnsbc_io.bag.metadata import METADATA_FILE
     from ptnsbc_tools.library import reporting
     from ptnsbc_tools.library.flight import flight_in
 
-    beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
-    path = reporting.checked(beside if output is None else output)
+    path = reporting.checked(_beside(source, ".csv") if output is None else output)
     with console.patience(f"reading {source}"):
-        if _is_sweep(source):
+        if (
+            source.is_dir()
+            and (source / "plan.json").is_file()
+            and not (source / METADATA_FILE).exists()
+        ):
             from ptnsbc_tools.library.sweeping import open_sweep
 
             reporting.export(open_sweep(source), path)
         else:
             reporting.export(flight_in(source, reading.options()), path)
     console.show(str(path))
-
-
-def _is_sweep(source: Path) -> bool:
-    """True if this is the folder of a sweep: only then is the code of sweeps imported."""
-    from ptnsbc_io.bag.metadata import METADATA_FILE
-
-    if not source.is_dir() or (source / METADATA_FILE).exists():
-        return False
-    from ptnsbc_sim.sweep.runner import PLAN
-
-    return (source / PLAN).is_file()
 
 
 def reproduce(context: typer.Context) -> None:

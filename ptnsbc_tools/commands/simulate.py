@@ -76,7 +76,7 @@ def _drawn(
     from ptnsbc_sim.scenario import scenario_from_text
     from ptnsbc_sim.sweep import SweepError
     from ptnsbc_sim.sweep import draw as draw_of
-    from ptnsbc_tools.sweeps.table import plan_in
+    from ptnsbc_tools.sweeps.summary import plan_in
 
     if scenario is not None or sweep is None or draw is None:
         raise SweepError("expected a SCENARIO, or --sweep DIR and --draw K")

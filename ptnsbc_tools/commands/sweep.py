@@ -17,7 +17,7 @@ from ptnsbc_tools.options import SWEEPS, Choices, JsonOption, argument, option, 
 
 if TYPE_CHECKING:
     from ptnsbc_sim.sweep import SweepPlan, SweepResult
-    from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep
+    from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep
 
 _BASE = "paper_5_free"
 _LACKING, _WORSE, _INTERRUPTED = 1, 1, 130
@@ -155,7 +155,7 @@ def sweep(
     """
     from ptnsbc_sim.sweep import SweepError
     from ptnsbc_tools.sweeps import summary
-    from ptnsbc_tools.sweeps.table import read_sweep
+    from ptnsbc_tools.sweeps.summary import read_sweep
 
     if scheduler is not None and workers is not None:
         raise SweepError("--scheduler: the cluster has its own workers: leave out --workers")
@@ -164,7 +164,12 @@ def sweep(
     _clear(folder, plan, overwrite=overwrite)
     flown = _fly(plan, folder, workers, scheduler)
     found = read_sweep(folder)
-    page = _write_report(found) if report else None
+    page = None
+    if report:
+        from ptnsbc_tools.sweeps.sweep_report import write_report
+
+        with console.patience("drawing"):
+            page = write_report(found)
     if json:
         failed = [
             {"first": one.draws.start, "last": one.draws[-1], "error": one.error}
@@ -181,16 +186,10 @@ def sweep(
 def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
     """Remove a sweep of another plan or of other laws; other files in the folder stay, and have it refused."""
     from ptnsbc_sim.sweep import SweepError
-    from ptnsbc_sim.sweep.runner import flown_by_others
+    from ptnsbc_sim.sweep.runner import held
 
-    path = folder / _MADE[0]
-    if not path.is_file():
-        return
-    if path.read_text(encoding="utf-8") != plan.to_json():
-        other = "a sweep of another plan"
-    elif flown_by_others(folder, plan):
-        other = "flights of other laws or library versions"
-    else:
+    other = held(folder, plan)
+    if not other:
         return
     if not overwrite:
         raise SweepError(f"{folder}: holds {other}: choose another --output, or --overwrite")
@@ -220,28 +219,20 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
         raise SweepError(f"{what}: {error}") from error
 
 
-def _write_report(found: FlownSweep) -> Path:
-    from ptnsbc_tools.sweeps.sweep_report import write_report
-
-    with console.patience("drawing"):
-        return write_report(found)
-
-
 def _show(found: FlownSweep, flown: SweepResult, page: Path | None) -> None:
     from ptnsbc_tools.sweeps import summary
 
     out = console.out()
     for table in summary.tables(found):
         out.print(table)
-    for one in summary.worst(found):
-        print(f"fly draw {one.draw} again: {one.command}")
+    for worst in summary.worst(found):
+        print(f"fly draw {worst.draw} again: {worst.command}")
     for failed in flown.failed:
         first, last = failed.draws.start, failed.draws[-1]
         print(f"draws {first} to {last} were not flown: {failed.error}", file=sys.stderr)
     for draw, cause in found.not_flown[:_MOST_NAMED]:
         print(f"draw {draw} was not flown: {cause}", file=sys.stderr)
-    if len(found.not_flown) > _MOST_NAMED:
-        rest = len(found.not_flown) - _MOST_NAMED
+    if (rest := len(found.not_flown) - _MOST_NAMED) > 0:
         print(f"{rest} more were not flown: their causes are in the table", file=sys.stderr)
     out.print(summary.line(found), soft_wrap=True)
     print(f"table: {flown.table}")

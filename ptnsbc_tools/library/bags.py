@@ -36,7 +36,6 @@ def trim(
         begin_s: keep messages from here on [s], after the first one.
         end_s: keep messages up to here [s]; None: all.
         overwrite: replace an existing bag.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Returns:
         The number of messages in the span.
@@ -73,7 +72,6 @@ def repair(
         bag: folder of the bag, the .part of a killed recording, or an .mcap file.
         output: folder of the repaired bag; by default as said above.
         discard: remove the damaged bag after the repair.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Raises:
         BagError: no bag, or nothing in it can be read.
@@ -98,7 +96,6 @@ def rerun(
         scenario: scenario file to use instead of the attached one.
         law: FILE.py:NAME to execute, of a bag whose scenario names a law.
         plugins: FILE.py:NAME to execute, of a bag whose scenario names a task or a controller.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Returns:
         What was compared, byte for byte; `verdict` is the word, `first` the first difference.
@@ -120,11 +117,7 @@ def rerun(
 
 
 def _trusted(path: Path, flown: Scenario, law: str | None, plugins: Sequence[str]) -> Scenario:
-    """The scenario of a bag with the files of its plug-ins, which the user gives.
-
-    Raises:
-        PluginError: the scenario names a plug-in of a UAV, and none of this name is given.
-    """
+    """The scenario of a bag with the files of its plug-ins; PluginError when one that it names is not given."""
     changes = {} if law is None else {"law": law}
     given = {plugin.rpartition(":")[2]: plugin for plugin in plugins}
     for kind, option, named in (

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.agent import GAIN, SINGULAR_VALUE
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
@@ -19,7 +20,8 @@ from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
 from ptnsbc_tools.library.optional import required
-from ptnsbc_tools.plotting.charts import FlightView, view_of
+from ptnsbc_tools.plotting.charts import CHARTS, FlightView, view_of
+from ptnsbc_tools.plotting.draw import draw_chart, draw_flight, draw_paths
 from ptnsbc_tools.reading.bag_reader import (
     DEFAULTS,
     ReadOptions,
@@ -72,8 +74,11 @@ QUANTITIES: tuple[Quantity, ...] = (
 """All arrays of a flight, in the order in which tables show them."""
 
 
-def _columns(track: str, first: int, end: int, meaning: str) -> cached_property[Array]:
-    """An array of a flight: columns first … end - 1 of a track of every UAV; NaN where none is recorded."""
+_MEANINGS = {quantity.name: quantity.meaning for quantity in QUANTITIES}
+
+
+def _columns(name: str, track: str, first: int, end: int) -> cached_property[Array]:
+    """A quantity of a flight: columns first … end - 1 of a track of every UAV; NaN where none is recorded."""
 
     def columns(flight: FlightArrays) -> Array:
         tracks, grid = getattr(flight.recording, track), flight.instants.stamps
@@ -83,7 +88,7 @@ def _columns(track: str, first: int, end: int, meaning: str) -> cached_property[
         ]
         return np.stack(parts, axis=1)
 
-    columns.__doc__ = meaning
+    columns.__doc__ = _MEANINGS.get(name)
     return cached_property(columns)
 
 
@@ -120,19 +125,12 @@ class FlightArrays:
         positions = self.instants.positions
         return np.stack([positions[uav] for uav in self.uavs], axis=1)
 
-    quaternion = _columns(
-        "odometry", 3, 7, "Attitude as measured (T, N, 4): x y z w, body FLU to world ENU."
-    )
-    rate_rad_s = _columns("odometry", 10, 13, "Body rate as measured (T, N, 3) [rad/s], FLU.")
-    force_n = _columns("wrench", 0, 3, "Commanded force (T, N, 3) [N], FLU; or NaN.")
-    torque_n_m = _columns("wrench", 3, 6, "Commanded torque (T, N, 3) [N m], FLU; or NaN.")
-    leader_estimate_m = _columns(
-        "estimate",
-        0,
-        3,
-        "Every UAV's estimate of the leader's position (T, N, 3) [m], ENU; or NaN.",
-    )
-    _body_velocity = _columns("odometry", 7, 10, "Velocity as measured (T, N, 3) [m/s], FLU.")
+    quaternion = _columns("quaternion", "odometry", 3, 7)
+    rate_rad_s = _columns("rate_rad_s", "odometry", 10, 13)
+    force_n = _columns("force_n", "wrench", 0, 3)
+    torque_n_m = _columns("torque_n_m", "wrench", 3, 6)
+    leader_estimate_m = _columns("leader_estimate_m", "estimate", 0, 3)
+    _body_velocity = _columns("velocity, FLU", "odometry", 7, 10)
 
     @cached_property
     def velocity_m_s(self) -> Array:
@@ -189,11 +187,7 @@ class Flight(FlightArrays):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """The verdict: met, missed, violated or void, with all figures (docs/verdict.md).
-
-        Raises:
-            VerdictError: the recording cannot be judged.
-        """
+        """The verdict with all figures (docs/verdict.md); VerdictError when the recording cannot be judged."""
         return verdict_on(self.recording, self.tolerance_m)
 
     @property
@@ -203,24 +197,16 @@ class Flight(FlightArrays):
         return tuple(replace(self, recording=replace(self.recording, leg=k)) for k in numbers)
 
     def to_pandas(self) -> Any:
-        """One row for each instant and UAV as a pandas DataFrame; `attrs["units"]` has the units.
-
-        Raises:
-            LibraryMissingError: pandas is not installed.
-        """
+        """One row for each instant and UAV as a pandas DataFrame; `attrs["units"]` has the units."""
         pandas = required("pandas", "to_pandas()")
-        found = list(self.columns())
-        frame = pandas.DataFrame({name: values for name, _, values in found})
-        units = {name: unit for name, unit, _ in found}
+        columns = list(self.columns())
+        frame = pandas.DataFrame({name: values for name, _, values in columns})
+        units = {name: unit for name, unit, _ in columns}
         frame.attrs = {"units": units, "scenario": self.scenario.name}
         return frame
 
     def to_xarray(self) -> Any:
-        """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes.
-
-        Raises:
-            LibraryMissingError: xarray is not installed.
-        """
+        """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes."""
         xarray = required("xarray", "to_xarray()")
         arrays = {
             one.name: (one.axes, self[one.name], {"units": one.unit, "long_name": one.meaning})
@@ -235,26 +221,29 @@ class Flight(FlightArrays):
     @cached_property
     def view(self) -> FlightView:
         """The flight as the figures of `ptnsbc plot` and `ptnsbc report` show it."""
-        status = self.status
-        if status is None and self.headless is not None:
-            status = _status_of(self.headless)
-        elif status is None:
-            status = StatusSeries() if self.bag is None else read_status(self.bag)
+        status = self.status or StatusSeries()
+        if self.status is None and self.headless is not None:
+            flown = self.headless  # at every tick what the UAVs would have published
+            columns = {"gain": GAIN, "sigma_min": SINGULAR_VALUE}
+            values = flown.track.diagnostics
+            status = StatusSeries(
+                {
+                    uav: {
+                        key: Series(flown.t_ns, values[:, row, column : column + 1])
+                        for key, column in columns.items()
+                    }
+                    for row, uav in enumerate(self.uavs)
+                }
+            )
+        elif self.status is None and self.bag is not None:
+            status = read_status(self.bag)
         return view_of(self.recording, status, self.tolerance_m, self.bag)
 
     def plot(self, what: str = "errors", axes: Any = None) -> Any:
-        """Draw a figure of `ptnsbc plot` on Matplotlib axes, by default on new ones, and return them.
+        """Draw a figure of `ptnsbc plot --what` on Matplotlib axes, by default on new ones, and return them.
 
-        Args:
-            what: errors, force, torque, between, obstacles, estimator, gain, …: as `ptnsbc plot --what`.
-            axes: Matplotlib axes.
-
-        Raises:
-            FlightError: there is no such figure, or the flight has no data for it.
+        FlightError when there is no such figure, or the flight has no data for it.
         """
-        from ptnsbc_tools.plotting.charts import CHARTS
-        from ptnsbc_tools.plotting.draw import draw_chart
-
         if what not in CHARTS:
             raise FlightError(f"{what}: no figure of a flight: {similar(what, CHARTS)}")
         chart = CHARTS[what](self.view)
@@ -271,16 +260,12 @@ class Flight(FlightArrays):
 
     def plot_paths(self, axes: Any = None) -> Any:
         """Draw paths and obstacles from above on Matplotlib axes, and return them."""
-        from ptnsbc_tools.plotting.draw import draw_paths
-
         axes = new_axes() if axes is None else axes
         draw_paths(axes, self.recording)
         return axes
 
     def save_picture(self, path: str | Path) -> Path:
         """Draw paths and errors into a PNG, SVG or PDF, as `ptnsbc verify --picture` does, and return its path."""
-        from ptnsbc_tools.plotting.draw import draw_flight
-
         return draw_flight(self.recording, Path(path), self.tolerance_m)
 
     def save(
@@ -292,14 +277,8 @@ class Flight(FlightArrays):
     ) -> Flight:
         """Write a headless flight into a bag, and return the flight with its bag; needs the ROS message packages.
 
-        Args:
-            folder: of the bag.
-            overwrite: replace an existing bag.
-            progress: called now and then with the ticks done and their total.
-
-        Raises:
-            FlightError: the flight comes from a bag.
-            BagError: the folder is not empty.
+        `progress` is called now and then with the ticks done and their total. FlightError when the flight comes from a
+        bag; BagError when the folder is not empty, without `overwrite`.
         """
         from ptnsbc_tools.reading.headless import write_flight
 
@@ -328,27 +307,6 @@ def new_axes() -> Any:
     return pyplot.subplots(layout="constrained")[1]
 
 
-def _status_of(flight: HeadlessFlight) -> StatusSeries:
-    """The messages that the UAVs of a headless flight would have published, at every tick."""
-    from ptnsbc_core.agent import GAIN, SINGULAR_VALUE
-
-    log = flight.track.diagnostics
-    columns = {"gain": GAIN, "sigma_min": SINGULAR_VALUE}
-    return StatusSeries(
-        {
-            uav: {
-                key: Series(flight.t_ns, log[:, row, column : column + 1])
-                for key, column in columns.items()
-            }
-            for row, uav in enumerate(flight.scenario.uav_ids)
-        }
-    )
-
-
 def flight_in(bag: Path, options: ReadOptions = DEFAULTS) -> Flight:
-    """The flight in a bag.
-
-    Raises:
-        BagError: no bag, cut, damaged, or without a scenario.
-    """
+    """The flight in a bag; BagError when there is none, or it is cut, damaged, or without a scenario."""
     return Flight(read_recording(bag, options), options.tolerance, bag)

@@ -20,7 +20,7 @@ from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_status
-from ptnsbc_tools.reading.bag_sources import TopicNames
+from ptnsbc_tools.reading.bag_sources import OUR_TOPICS, TopicNames
 
 DRY_RUNS = 20
 
@@ -81,10 +81,7 @@ def check(
 ) -> CheckReport:
     """Check a scenario before a flight, as `ptnsbc check`: by closed forms, then by dry runs.
 
-    Args:
-        scenario: what is to be flown.
-        dry_runs: perturbed flights, when the rest finds no error; 0: no dry run.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
+    `dry_runs` perturbed flights are flown when the rest finds no error; 0: none.
     """
     scenario = load(scenario)
     with console.compiling():
@@ -112,7 +109,6 @@ def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None =
     Args:
         scenario: what to fly.
         checked: check it first: errors are raised, warnings are Python warnings. False: no check.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Raises:
         CheckError: the pre-flight check refuses the scenario.
@@ -123,14 +119,11 @@ def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None =
     if checked:
         report = check(scenario, dry_runs=0)
         report.refuse()
-        for one in report:
-            if one.severity == WARNING:
-                line = (
-                    f"{scenario.name}: {one.key}: {one.value}: expected {one.limit}; {one.advice}"
-                )
-                warnings.warn(line, stacklevel=2)
+        for one in (finding for finding in report if finding.severity == WARNING):
+            line = f"{scenario.name}: {one.key}: {one.value}: expected {one.limit}; {one.advice}"
+            warnings.warn(line, stacklevel=2)
     from ptnsbc_sim.swarm import fly as fly_headless  # loads numba: only after all checks
-    from ptnsbc_sim.verdict.headless import recording_of
+    from ptnsbc_sim.verdict.recording import recording_of
 
     one_tick = {"timing.duration_s": 1 / scenario.timing.control_hz}
     with console.compiling():  # the flight's own progress would stand still for a minute
@@ -147,8 +140,8 @@ def read_bag(
     tolerance_m: float | None = None,
     window_s: float | None = None,
     epoch_s: float | None = None,
-    odom: str = "/uav{n}/odom",
-    wrench: str = "/uav{n}/setpoint/wrench",
+    odom: str = OUR_TOPICS.odom,
+    wrench: str = OUR_TOPICS.wrench,
 ) -> Flight:
     """The flight in a bag, of ours or of another program.
 
@@ -171,14 +164,9 @@ def read_bag(
 
 
 def verdict(flight: Flight, tolerance_m: float | None = None) -> Verdict:
-    """The verdict on a flight, as `ptnsbc verify`.
+    """The verdict on a flight, as `ptnsbc verify`; VerdictError when the recording cannot be judged.
 
-    Args:
-        flight: what was flown.
-        tolerance_m: limit of the error at the deadline; by default that of the flight.
-
-    Raises:
-        VerdictError: the recording cannot be judged.
+    `tolerance_m` limits the error at the deadline; by default as the flight says.
     """
     return flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
 

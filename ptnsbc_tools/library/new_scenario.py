@@ -27,17 +27,7 @@ def _vector(place: Iterable[float]) -> str:
 
 
 def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> str:
-    """The file of a new scenario: it passes `ptnsbc check`, and every block has a comment.
-
-    Args:
-        name: of the scenario.
-        shape: a key of `SHAPES`.
-        n: UAVs with the leader.
-        spacing_m: distance of neighbours.
-
-    Raises:
-        NewScenarioError: an unknown shape, too few or too many UAVs, or no distance between them.
-    """
+    """The file of a new scenario: it passes `ptnsbc check`, and every block has a comment; arguments as of `new`."""
     if shape not in SHAPES:
         raise NewScenarioError(f"--shape {shape}: {similar(shape, SHAPES)}")
     if not 2 <= n <= MOST:
@@ -84,7 +74,7 @@ def new(
         overwrite: replace an existing file.
 
     Raises:
-        NewScenarioError: see `text_of`, or a file that exists.
+        NewScenarioError: an unknown shape, a number or a distance out of range, or a file that exists.
         OutputFileError: the file cannot be written.
     """
     given = Path(file)

@@ -13,11 +13,7 @@ class LibraryMissingError(PtnsbcError):
 
 
 def required(name: str, what: str, extra: str = "tables") -> Any:
-    """The module of a library; `what` needs it, and our `extra` brings it.
-
-    Raises:
-        LibraryMissingError: it is not installed.
-    """
+    """The module of a library that `what` needs and our `extra` brings; LibraryMissingError when it is missing."""
     try:
         return import_module(name)
     except ImportError:

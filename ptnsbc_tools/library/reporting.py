@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
-from ptnsbc_tools.library.flight import Flight
-from ptnsbc_tools.plotting.charts import FlightView, read_view
+from ptnsbc_tools.library.flight import Flight, flight_in
+from ptnsbc_tools.plotting import draw
+from ptnsbc_tools.plotting.charts import CHARTS, FlightView
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
@@ -61,7 +63,6 @@ def report(
         other: another flight, whose curves are shown dotted.
         options: how to read a bag that another program wrote; a `Flight` is read already.
         pictures: write the figures as PNG beside the page.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Raises:
         ReportError: no such bag.
@@ -74,13 +75,21 @@ def report(
     beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
     target = beside_bag if folder is None else Path(folder)
     beside = None if other is None else _view_of(other, options)
-    metadata = {"mode": "headless"} if bag is None else _metadata(bag)
+    metadata: Mapping[str, str] = {"mode": "headless"}
+    if bag is not None:
+        try:
+            metadata = read_bag(bag).metadata
+        except BagError:  # sqlite3 of other systems, which has no metadata
+            metadata = {}
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")
-    drawn = _draw(shown, target, progress) if pictures and shown.uavs else ()
+    drawn = [
+        draw.save(figure, target / f"{key}.png")
+        for key, figure in figures(shown, CHARTS if pictures else (), progress)
+    ]
     word = None if shown.verdict is None else shown.verdict.verdict
-    return Report(page, drawn, word, shown.problem or "")
+    return Report(page, tuple(drawn), word, shown.problem)
 
 
 def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
@@ -88,31 +97,19 @@ def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
         return flight.view
     if not Path(flight).exists():
         raise ReportError(f"{flight}: no such bag")
-    return read_view(Path(flight), options)
+    return flight_in(Path(flight), options).view
 
 
-def _metadata(bag: Path) -> dict[str, str]:
-    from ptnsbc_io.bag import BagError, read_bag
-
-    try:
-        return dict(read_bag(bag).metadata)
-    except BagError:  # sqlite3 of other systems, which has no metadata
-        return {}
-
-
-def _draw(shown: FlightView, folder: Path, progress: bool | None) -> tuple[Path, ...]:
-    from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.charts import CHARTS
-
-    drawn: list[Path] = []
-    with console.progress("drawing", progress) as advance:
-        for done, (key, make) in enumerate(CHARTS.items(), start=1):
-            chart = make(shown)
+def figures(
+    shown: FlightView, keys: Collection[str], progress: bool | None = True
+) -> Iterator[tuple[str, Any]]:
+    """The Matplotlib figures of these names for which data is recorded."""
+    with console.progress("drawing", progress and bool(keys)) as advance:
+        for done, key in enumerate(keys, start=1):
+            chart = CHARTS[key](shown) if shown.uavs else None
             if chart is not None:
-                figure = draw.figure_of(chart, shown.scenario.name)
-                drawn.append(draw.save(figure, folder / f"{key}.png"))
-            advance(done, len(CHARTS))
-    return tuple(drawn)
+                yield key, draw.figure_of(chart, shown.scenario.name)
+            advance(done, len(keys))
 
 
 def checked(path: Path) -> Path:
@@ -128,15 +125,9 @@ def checked(path: Path) -> Path:
 
 
 def export(source: Flight | Sweep, file: str | Path) -> Path:
-    """Write a flight or a sweep as a table, as `ptnsbc export`, and return the file.
+    """Write a flight or a sweep into FILE.csv or FILE.parquet, as `ptnsbc export`, and return the file.
 
-    Args:
-        source: a flight, or a sweep.
-        file: FILE.csv or FILE.parquet.
-
-    Raises:
-        ExportError: no such format.
-        OutputFileError: the file cannot be written.
+    ExportError when there is no such format; OutputFileError when the file cannot be written.
     """
     path = checked(Path(file))
     table = table_of(source)

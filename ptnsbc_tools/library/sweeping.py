@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,15 +12,13 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.sweep import SweepError, SweepPlan, SweepResult, draw, parse_axis, parse_starts, run
-from ptnsbc_sim.sweep.chunks import DRAWN
 from ptnsbc_sim.sweep.family import find_family
 from ptnsbc_sim.sweep.plan import plan_of
-from ptnsbc_sim.sweep.rows import UNITS, fly_draw, rows_of
-from ptnsbc_sim.sweep.runner import TABLE
+from ptnsbc_sim.sweep.rows import fly_draw, rows_of
+from ptnsbc_sim.sweep.runner import TABLE, columns_of
 from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, new_axes
@@ -28,7 +26,7 @@ from ptnsbc_tools.library.flying import ScenarioLike, fly, load
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
-from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
+from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
 
 _MOMENT_S = 0.05
 
@@ -57,12 +55,7 @@ class Sweep:
     @property
     def units(self) -> dict[str, str]:
         """The unit of each column; empty for words and numbers without one."""
-        return {
-            name: (unit_of(name.rpartition(".")[2]) or "")
-            if name.startswith(DRAWN)
-            else UNITS.get(name, "")
-            for name in self.columns
-        }
+        return {name: unit for name, _, unit in columns_of(self.plan) if name in self.columns}
 
     def __getitem__(self, name: str) -> Column:
         """A column (R,) by its name."""
@@ -90,24 +83,16 @@ class Sweep:
         return compare(self, other, margin_m=margin_m, seed=seed)
 
     def to_pandas(self) -> Any:
-        """One row for each UAV and flight as a pandas DataFrame; `attrs["units"]` has the units.
-
-        Raises:
-            LibraryMissingError: pandas is not installed.
-        """
+        """One row for each UAV and flight as a pandas DataFrame; `attrs["units"]` has the units."""
         frame = required("pandas", "to_pandas()").DataFrame(dict(self.columns))
         frame.attrs = {"units": self.units, "plan": self.plan.name}
         return frame
 
     def plot_met(self, key: str | None = None, axes: Any = None) -> Any:
-        """Draw the share of flights met against what was drawn on Matplotlib axes, and return them.
+        """Draw the share of flights met against a drawn key on Matplotlib axes, and return them.
 
-        Args:
-            key: a drawn key; by default the first one, or the largest start error.
-            axes: Matplotlib axes; by default new ones.
-
-        Raises:
-            SweepError: nothing of this name was drawn, or all draws have the same value.
+        By default that is the first key, or the largest start error, on new axes. SweepError when nothing of this name
+        was drawn, or all draws have the same value.
         """
         from ptnsbc_tools.sweeps.sweep_report import draw_against, drawn_axes
 
@@ -134,33 +119,19 @@ def plan(
     name: str | None = None,
     **rest: Any,
 ) -> SweepPlan:
-    """The flights of a sweep; the arguments are those of `sweep`, `rest` are further fields of SweepPlan.
-
-    Raises:
-        SweepError: an axis, a start or a family that cannot be.
-    """
+    """The flights of a sweep; the arguments are those of `sweep`, `rest` are further fields of SweepPlan."""
     if isinstance(vary, Mapping):
         vary = [f"{key}={values}" for key, values in vary.items()]
-    path = find_family(str(family)) if family is not None else None
-    return plan_of(
-        scenario,
-        runs,
-        axes=tuple(parse_axis(text) for text in vary),
-        starts=parse_starts(starts),
-        family=_family_text(path, overrides or {}) if path is not None else "",
-        name=name or (path.stem if path is not None else scenario.name),
-        **rest,
-    )
-
-
-def _family_text(path: Path, overrides: Mapping[str, Any]) -> str:
-    """The text of a family without the keys of the formation that are given."""
-    text = path.read_text(encoding="utf-8")
-    tree = reader.parse(text, str(path))
-    given = [key for key in tree if f"formation.{key}" in overrides]
-    if not given:
-        return text
-    return reader.dump({key: value for key, value in tree.items() if key not in given})
+    text = ""
+    if family is not None:
+        path = find_family(family)
+        text, name = path.read_text(encoding="utf-8"), name or path.stem
+        tree = reader.parse(text, str(path))
+        kept = {key: tree[key] for key in tree if f"formation.{key}" not in (overrides or {})}
+        text = text if len(kept) == len(tree) else reader.dump(kept)
+    axes = tuple(parse_axis(axis) for axis in vary)
+    rest |= {"starts": parse_starts(starts), "family": text, "name": name or scenario.name}
+    return plan_of(scenario, runs, axes=axes, **rest)
 
 
 def fly_plan(
@@ -174,10 +145,8 @@ def fly_plan(
 ) -> SweepResult:
     """Fly what is missing of a plan into a folder; `count` gets the flights that are done.
 
-    Raises:
-        SweepError: the folder holds something else, or no draw could be flown.
-        ScenarioError: a flight does not fit into the memory of this computer.
-        KeyboardInterrupt: ended early; the next call goes on from there.
+    SweepError when the folder holds something else, or no draw could be flown; ScenarioError when a flight does not fit
+    into memory. After KeyboardInterrupt the next call goes on.
     """
     with suppress(SweepError):  # a draw that cannot be flown is named later
         refuse_without_memory(draw(plan, 0))
@@ -226,7 +195,6 @@ def sweep(
         dry_runs: perturbed flights of the dry run before each flight.
         folder: keep the sweep there, and go on with what is there; by default nothing is kept.
         workers: processes, by default one for each core; 1: this process.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
 
     Raises:
         SweepError: a draw that cannot be, another sweep in the folder, or no draw could be flown.
@@ -242,20 +210,14 @@ def sweep(
         stop_after_s=stop_after_s,
         check=dry_runs,
     )
-    with ExitStack() as stack:
-        temporary = folder is None
-        kept = Path(folder or stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-")))
-        place = kept / "sweep" if temporary else kept
+    with tempfile.TemporaryDirectory(prefix="ptnsbc-") as temporary:
+        place = Path(temporary) / "sweep" if folder is None else Path(folder)
         fly_plan(flown, place, workers=workers, progress=progress)
         return Sweep(read_sweep(place))
 
 
 def open_sweep(folder: str | Path) -> Sweep:
-    """A sweep from its folder, as `ptnsbc sweep` wrote it.
-
-    Raises:
-        SweepError: it is none, or it is not complete.
-    """
+    """A sweep from its folder, as `ptnsbc sweep` wrote it; SweepError when it is none, or not complete."""
     return Sweep(read_sweep(Path(folder)))
 
 

@@ -6,12 +6,11 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ptnsbc_sim.scenario import Scenario
@@ -54,12 +53,7 @@ class Dashboard:
         self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._live.stop()
 
     def say(self, line: str) -> None:
@@ -122,22 +116,16 @@ def _title(frame: dict[str, Any], scenario: Scenario) -> str:
 def _board(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
     """The health board before the flight: what each UAV waits for, its fix, its mode and its battery."""
     table = _empty_table()
-    table.add_column("UAV", no_wrap=True)
     table.add_column("step, or what it waits for", overflow="fold", ratio=1)
     for name in ("GNSS fix", "mode"):
         table.add_column(name, no_wrap=True)
     for name in ("bat %", "height m"):
         table.add_column(name, justify="right", no_wrap=True)
     for uav in frame["uavs"]:
-        words = (
-            _name(uav, scenario),
-            uav["readiness"] or "not heard",
-            uav["fix"] or "-",
-            _mode(uav),
-        )
+        words = uav["readiness"] or "not heard", uav["fix"] or "-", _mode(uav)
         numbers = _number(uav["battery"], 0), _number(uav["pose"] and uav["pose"][2], 2)
         style = "red" if uav["lost"] or uav["readiness"] is None else ""
-        table.add_row(*words, *numbers, style=style)
+        table.add_row(_name(uav, scenario), *words, *numbers, style=style)
     return table
 
 
@@ -145,7 +133,9 @@ def _empty_table() -> Table:
     from rich import box
     from rich.table import Table
 
-    return Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
+    table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
+    table.add_column("UAV", no_wrap=True)
+    return table
 
 
 def _name(uav: dict[str, Any], scenario: Scenario) -> str:
@@ -153,39 +143,35 @@ def _name(uav: dict[str, Any], scenario: Scenario) -> str:
 
 
 def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
-    table = _empty_table()
-    table.add_column("UAV", no_wrap=True)
-    names = ["error m", "height m", "speed m/s", "nearest m"]
+    table, tolerance = _empty_table(), scenario.formation.tolerance_m
     wide = width >= _WIDE
+    battery = any(uav["battery"] is not None for uav in frame["uavs"])
     if wide:
         table.add_column("error, log scale", no_wrap=True)
-    for name, least in zip(names, (9, 8, 9, 9 + _NAME), strict=True):
+    names = {"error m": 9, "height m": 8, "speed m/s": 9, "nearest m": 9 + _NAME}
+    for name, least in names.items():
         table.add_column(name, justify="right", no_wrap=True, min_width=least)
     table.add_column("mode", no_wrap=True, overflow="ellipsis")
-    battery = any(uav["battery"] is not None for uav in frame["uavs"])
     if battery:
         table.add_column("bat %", justify="right", no_wrap=True)
     if wide:
         table.add_column("east, north, up m", justify="right", no_wrap=True)
-    tolerance = scenario.formation.tolerance_m
     for uav in frame["uavs"]:
-        cells = [_name(uav, scenario)]
-        if wide:
-            cells.append(_bar(uav["error"], tolerance))
-        near = uav["near"]
-        cells += [
+        near, pose = uav["near"], uav["pose"]
+        name = near and near["name"].replace("UAV ", "uav")
+        cells = [
+            _name(uav, scenario),
+            *([_bar(uav["error"], tolerance)] if wide else []),
             _number(uav["error"], 4),
-            _number(uav["pose"] and uav["pose"][2], 2),
+            _number(pose and pose[2], 2),
             _number(uav["speed"], 2),
-            f"{near['distance']:.2f} {near['name'].replace('UAV ', 'uav'):.{_NAME}}"
-            if near
-            else "-",
+            f"{near['distance']:.2f} {name:.{_NAME}}" if near else "-",
             _mode(uav),
         ]
         if battery:
             cells.append(_number(uav["battery"], 0))
         if wide:
-            cells.append(" ".join(f"{one:7.2f}" for one in uav["pose"][:3]) if uav["pose"] else "-")
+            cells.append(" ".join(f"{metres:7.2f}" for metres in pose[:3]) if pose else "-")
         table.add_row(*cells, style=_style(uav, tolerance))
     return table
 
@@ -242,26 +228,18 @@ class Viewing:
         return partial(_process, self, say) if self.wanted else None
 
 
-def _command(viewing: Viewing, domain: str, scenario_file: Path) -> list[str]:
-    command = [sys.executable, "-m", "ptnsbc_tools", "view", str(scenario_file), "--plain"]
-    command += ["--domain", domain]
-    if viewing.namespace:
-        command += ["--namespace", viewing.namespace]
-    if not viewing.page:
-        command.append("--no-page")
-    if viewing.foxglove is not None:
-        command += ["--foxglove", str(viewing.foxglove)]
-    if viewing.dashboard is not None:
-        command.append("--frames")
-    return command
-
-
 @contextmanager
 def _process(
     viewing: Viewing, say: Callable[[str], None], settings: Mapping[str, str], scenario_file: Path
 ) -> Iterator[None]:
+    command = [sys.executable, "-m", "ptnsbc_tools", "view", str(scenario_file), "--plain"]
+    command += ["--domain", settings["ROS_DOMAIN_ID"]]
+    command += ["--namespace", viewing.namespace] if viewing.namespace else []
+    command += [] if viewing.page else ["--no-page"]
+    command += [] if viewing.foxglove is None else ["--foxglove", str(viewing.foxglove)]
+    command += [] if viewing.dashboard is None else ["--frames"]
     process = subprocess.Popen(
-        _command(viewing, settings["ROS_DOMAIN_ID"], scenario_file),
+        command,
         env=dict(settings),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -269,11 +247,23 @@ def _process(
         text=True,
         start_new_session=True,  # Ctrl-C is for the launcher
     )
-    log = scenario_file.with_name("view.log")
-    readers = [
-        threading.Thread(target=_pass_frames, args=(process.stdout, viewing), daemon=True),
-        threading.Thread(target=_pass_lines, args=(process.stderr, log, say), daemon=True),
-    ]
+
+    def pass_frames() -> None:
+        show = None if viewing.dashboard is None else viewing.dashboard.sink(viewing.scenario)
+        for line in process.stdout or ():
+            if show is not None:
+                show(json.loads(line))
+
+    def pass_lines() -> None:
+        """All lines into the log of the viewer; those for people to the terminal as well."""
+        with scenario_file.with_name("view.log").open("w") as file:
+            for line in process.stderr or ():
+                file.write(line)
+                file.flush()
+                if line.startswith(_ADDRESS) or "error: " in line:
+                    say(line.rstrip())
+
+    readers = [threading.Thread(target=read, daemon=True) for read in (pass_frames, pass_lines)]
     for reader in readers:
         reader.start()
     try:
@@ -287,20 +277,3 @@ def _process(
             process.wait()
         for reader in readers:
             reader.join()
-
-
-def _pass_frames(lines: Iterable[str], viewing: Viewing) -> None:
-    show = None if viewing.dashboard is None else viewing.dashboard.sink(viewing.scenario)
-    for line in lines:
-        if show is not None:
-            show(json.loads(line))
-
-
-def _pass_lines(lines: Iterable[str], log: Path, say: Callable[[str], None]) -> None:
-    """All lines into the log of the viewer; those for people to the terminal as well."""
-    with log.open("w") as file:
-        for line in lines:
-            file.write(line)
-            file.flush()
-            if line.startswith(_ADDRESS) or "error: " in line:
-                say(line.rstrip())

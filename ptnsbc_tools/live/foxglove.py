@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from types import TracebackType
+from collections.abc import Iterable
 from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.live.server import HOST, LiveServerError
-from ptnsbc_tools.plotting.chart import COLOURS, look
+from ptnsbc_tools.plotting.charts import COLOURS, look
 
 _WORLD = "map"
 _UAV_M = 0.4
 _WITHOUT_END_M = 100.0  # of planes and endless cylinders
+_LEVEL = (0.0, 0.0, 0.0, 1.0)  # quaternion
 _KEEP_OUT = (0.5, 0.5, 0.5, 0.35)  # red, green, blue, opacity
 
 
 class FoxgloveSink:
-    """Publishes every frame; use it as a context manager.
+    """Publishes every frame on a port of this host; use it as a context manager.
 
     Topics: `/scene` (foxglove.SceneUpdate), `/tf` (foxglove.FrameTransforms), `/formation/live` (JSON: the frame).
-
-    Args:
-        scenario: what is flown.
-        port: of the server, on this host alone.
-
-    Raises:
-        PtnsbcError: foxglove-sdk is not installed, or the port is taken.
+    PtnsbcError when foxglove-sdk is not installed, or the port is taken.
     """
 
     def __init__(self, scenario: Scenario, port: int) -> None:
@@ -52,25 +47,19 @@ class FoxgloveSink:
     def __enter__(self) -> FoxgloveSink:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._server.stop()
 
     def __call__(self, frame: dict[str, Any]) -> None:
         """Publish a frame."""
         self._numbers.log(frame)
-        flying = [uav for uav in frame["uavs"] if uav["pose"] is not None]
-        kinds = self._kinds
+        kinds, flying = self._kinds, [uav for uav in frame["uavs"] if uav["pose"] is not None]
         turns = [
             kinds.FrameTransform(
                 parent_frame_id=_WORLD,
                 child_frame_id=f"uav{uav['id']}/base_link",
-                translation=kinds.Vector3(**dict(zip("xyz", uav["pose"][:3], strict=True))),
-                rotation=kinds.Quaternion(**dict(zip("xyzw", uav["pose"][3:], strict=True))),
+                translation=self._made("Vector3", "xyz", uav["pose"][:3]),
+                rotation=self._made("Quaternion", "xyzw", uav["pose"][3:]),
             )
             for uav in flying
         ]
@@ -79,47 +68,46 @@ class FoxgloveSink:
         since_s = max(float(frame.get("t") or 0.0), 0.0)
         self._scene.log(kinds.SceneUpdate(entities=[*entities, self._obstacles(since_s)]))
 
-    def _sphere(self, place: Any, diameter: float, colour: tuple[float, ...]) -> Any:
-        kinds = self._kinds
-        x, y, z = map(float, place)
-        return kinds.SpherePrimitive(
-            pose=kinds.Pose(
-                position=kinds.Vector3(x=x, y=y, z=z), orientation=kinds.Quaternion(w=1.0)
-            ),
-            size=kinds.Vector3(x=diameter, y=diameter, z=diameter),
-            color=kinds.Color(**dict(zip("rgba", colour, strict=True))),
+    def _made(self, kind: str, names: str, values: Iterable[float]) -> Any:
+        """A message of Foxglove with these fields."""
+        return getattr(self._kinds, kind)(**dict(zip(names, map(float, values), strict=True)))
+
+    def _body(
+        self, place: Any, turn: Iterable[float], size: Any, colour: Iterable[float]
+    ) -> dict[str, Any]:
+        """Pose, size and colour of a primitive."""
+        position, quaternion = (
+            self._made("Vector3", "xyz", place),
+            self._made("Quaternion", "xyzw", turn),
         )
+        return {
+            "pose": self._kinds.Pose(position=position, orientation=quaternion),
+            "size": self._made("Vector3", "xyz", size),
+            "color": self._made("Color", "rgba", colour),
+        }
+
+    def _sphere(self, place: Any, diameter: float, colour: Iterable[float]) -> Any:
+        return self._kinds.SpherePrimitive(**self._body(place, _LEVEL, [diameter] * 3, colour))
 
     def _uav(self, uav: dict[str, Any]) -> Any:
         chosen = COLOURS[look(self._scenario.uav_ids.index(uav["id"])).colour]
         colour = (*(int(chosen[at : at + 2], 16) / 255 for at in (1, 3, 5)), 1.0)
-        return self._kinds.SceneEntity(
-            frame_id=_WORLD,
-            id=f"uav{uav['id']}",
-            spheres=[self._sphere(uav["pose"][:3], _UAV_M, colour)],
-        )
+        sphere = self._sphere(uav["pose"][:3], _UAV_M, colour)
+        return self._kinds.SceneEntity(frame_id=_WORLD, id=f"uav{uav['id']}", spheres=[sphere])
 
     def _obstacles(self, since_s: float) -> Any:
-        kinds, found = self._kinds, self._scenario.world.bodies
+        kinds, bodies = self._kinds, self._scenario.world.bodies
         places = self._scenario.world.body_positions(since_s)
         spheres, cubes, cylinders = [], [], []
-        for one, place in zip(found, places, strict=True):
-            drawn = one.drawn(_WITHOUT_END_M)
-            if one.kind == "sphere":
-                spheres.append(self._sphere(place, 2.0 * one.keep_out_m, _KEEP_OUT))
+        for body, place in zip(bodies, places, strict=True):
+            if body.kind == "sphere":
+                spheres.append(self._sphere(place, 2.0 * body.keep_out_m, _KEEP_OUT))
                 continue
-            centre = drawn.centre - one.position + place
-            keys = {
-                "pose": kinds.Pose(
-                    position=kinds.Vector3(**dict(zip("xyz", map(float, centre), strict=True))),
-                    orientation=kinds.Quaternion(
-                        **dict(zip("xyzw", drawn.quaternion, strict=True))
-                    ),
-                ),
-                "size": kinds.Vector3(**dict(zip("xyz", map(float, drawn.size), strict=True))),
-                "color": kinds.Color(**dict(zip("rgba", _KEEP_OUT, strict=True))),
-            }
-            if one.kind == "cylinder":
+            drawn = body.drawn(_WITHOUT_END_M)
+            keys = self._body(
+                drawn.centre - body.position + place, drawn.quaternion, drawn.size, _KEEP_OUT
+            )
+            if body.kind == "cylinder":
                 cylinders.append(kinds.CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **keys))
             else:
                 cubes.append(kinds.CubePrimitive(**keys))

@@ -12,7 +12,6 @@ import queue
 import secrets
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from string import Template
@@ -42,6 +41,14 @@ _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src ws://{host}"
 )
+_HEADERS = {
+    "Content-Type": "text/html; charset=utf-8",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Connection": "close",
+}
 
 
 class Feed:
@@ -136,13 +143,7 @@ class LiveServerError(PtnsbcError):
 
 
 class LiveServer:
-    """Serves one page and feeds it; use it as a context manager.
-
-    Args:
-        feed: what is shown.
-        page: makes the HTML.
-        port: 0 for a free one.
-    """
+    """Serves the page that `page` makes, and feeds it; use it as a context manager. Port 0: a free one."""
 
     def __init__(self, feed: Feed, page: Callable[[], str], port: int = 0) -> None:
         self.orders: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -200,15 +201,21 @@ class LiveServer:
             return None
         if address.path != "/":
             return connection.respond(404, "expected /\n")
-        return _page_response(self._page(), _SECURITY.format(host=host))
+        body = self._page().encode()
+        about = {
+            "Content-Length": str(len(body)),
+            "Content-Security-Policy": _SECURITY.format(host=host),
+        }
+        return Response(200, "OK", Headers(_HEADERS | about), body)
 
     def _serve(self, connection: ServerConnection) -> None:
         if not self._pages.acquire(blocking=False):
             connection.close(1013, f"more than {_MOST_PAGES} pages")
             return
         try:
-            with suppress(ConnectionClosed):
-                self._talk(connection)
+            self._talk(connection)
+        except ConnectionClosed:
+            pass
         finally:
             self._pages.release()
 
@@ -250,20 +257,3 @@ def order_in(data: str | bytes, token: str) -> str | None:
     known = found.get("order") in ORDERS
     permitted = hmac.compare_digest(found["token"].encode(), token.encode())
     return str(found["order"]) if known and permitted else None
-
-
-def _page_response(text: str, security: str) -> Response:
-    body = text.encode()
-    headers = Headers(
-        {
-            "Content-Type": "text/html; charset=utf-8",
-            "Content-Length": str(len(body)),
-            "Content-Security-Policy": security,
-            "Cache-Control": "no-store",
-            "Referrer-Policy": "no-referrer",
-            "X-Content-Type-Options": "nosniff",
-            "X-Frame-Options": "DENY",
-            "Connection": "close",
-        }
-    )
-    return Response(200, "OK", headers, body)

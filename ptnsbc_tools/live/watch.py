@@ -18,7 +18,7 @@ from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_tools.live.server import Feed, LiveServer, live_page
-from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS
+from ptnsbc_tools.plotting.charts import COLOURS, DARK_COLOURS
 from ptnsbc_tools.report.page import obstacles_of, uav_of
 
 _PATH_POINTS = 400
@@ -33,6 +33,11 @@ def stage(scenario: Scenario) -> dict[str, Any]:
     vector = leader_trajectory(scenario)
     times = np.linspace(0.0, float(scenario.timing.duration_s), _PATH_POINTS)
     path = np.array([reference(vector, float(t)).position for t in times])
+    offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
+    # around the starts and around the formation all along the path
+    low = np.min([path.min(0) + offsets.min(0), starts.min(0)], axis=0)
+    high = np.max([path.max(0) + offsets.max(0), starts.max(0)], axis=0)
     return {
         "name": scenario.name,
         "duration": float(scenario.timing.duration_s),
@@ -40,7 +45,7 @@ def stage(scenario: Scenario) -> dict[str, Any]:
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
         "space": {
             "path": np.round(path, 4).ravel().tolist(),
-            "bounds": _bounds(scenario, path),
+            "bounds": [low.tolist(), high.tolist()],
             "legs": [],
             "deadlines": [],
             "uavs": [
@@ -49,17 +54,8 @@ def stage(scenario: Scenario) -> dict[str, Any]:
             ],
             "obstacles": obstacles_of(scenario),
         },
-        "starts": [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids],
+        "starts": starts.tolist(),
     }
-
-
-def _bounds(scenario: Scenario, path: Any) -> list[list[float]]:
-    """Corners of a box around the starts and around the formation all along the path."""
-    offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
-    starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
-    low = np.min([path.min(0) + offsets.min(0), starts.min(0)], axis=0)
-    high = np.max([path.max(0) + offsets.max(0), starts.max(0)], axis=0)
-    return [low.tolist(), high.tolist()]
 
 
 Sink = Callable[[dict[str, Any]], None]
@@ -83,11 +79,7 @@ def watch(
     say: Callable[[str], None],
     sink_of: Callable[[Scenario], Sink] | None = None,
 ) -> None:
-    """Look at a fleet until SIGINT or SIGTERM; `sink_of` makes a further receiver of its frames.
-
-    Raises:
-        PtnsbcError: no fleet, a scenario that cannot be read, a port that is taken.
-    """
+    """Look at a fleet until SIGINT or SIGTERM; `sink_of` makes a further receiver of its frames."""
     with StopRequest() as stop, ExitStack() as stack:
         observer = stack.enter_context(Observer(options.domain, options.namespace))
         scenario = options.scenario or observer.scenario(_JOIN_S, lambda: stop.came)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from functools import partial
+from itertools import combinations, pairwise, product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +21,178 @@ from ptnsbc_sim.verdict.encounters import Window, encounters, merged, rising
 from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import NANO, seconds, tolerance_of
-from ptnsbc_tools.plotting.chart import (
-    DASHES,
-    Chart,
-    Curve,
-    Limit,
-    Look,
-    Mark,
-    Points,
-    Span,
-    ThinnedCurves,
-    Thinner,
-    look,
-)
-from ptnsbc_tools.reading.bag_reader import ReadOptions, StatusSeries, read_recording, read_status
+from ptnsbc_tools.reading.bag_reader import StatusSeries
+
+# The palette of Okabe and Ito, for all common kinds of colour blindness. On a dark page black and the darkest
+# blue would be invisible.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
+DARK_COLOURS = (
+    "#4DA6E0", "#E69F00", "#2BBF95", "#F07B2E", "#DD93BB", "#8CD0F5", "#E8E8E8", "#F0E442"
+)  # fmt: skip
+DASHES = ("-", "--", "-.", ":")
+_OTHER_DASH = 3  # of another flight: dots
+OBSTACLE = "#7F7F7F"
+GOOD = "#009E73"
+
+_IN_MEMORY = 20_000  # points of a curve; no figure shows more
+
+
+class Look(NamedTuple):
+    """The style of one curve."""
+
+    colour: int  # index into COLOURS
+    dash: int  # index into DASHES
+
+
+def look(index: int) -> Look:
+    """Colour and dash of UAV number `index`; dashes distinguish UAVs of the same colour."""
+    return Look(index % len(COLOURS), (index // len(COLOURS)) % len(DASHES))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One quantity over time."""
+
+    label: str
+    look: Look
+    t: Array  # (T,) [s] after the epoch
+    values: Array  # (T,)
+    uavs: tuple[int, ...]  # UAVs that it shows; hidden with any of them
+    other: bool = False  # of another flight, drawn beside this one
+
+
+class Limit(NamedTuple):
+    """A horizontal line: an upper or lower limit."""
+
+    value: float
+    label: str
+
+
+class Mark(NamedTuple):
+    """A vertical line."""
+
+    t: float  # [s] after the epoch
+    label: str
+
+
+class Span(NamedTuple):
+    """A shaded span of time."""
+
+    begin: float  # [s] after the epoch
+    end: float
+
+
+@dataclass(frozen=True)
+class Chart:
+    """The content of one set of axes."""
+
+    key: str  # name on the command line and of its file
+    title: str
+    unit: str
+    curves: tuple[Curve, ...]
+    log: bool = False
+    limits: tuple[Limit, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    band: tuple[float, float] | None = None  # good values
+    band_label: str = ""
+    spans: tuple[Span, ...] = ()  # times in which the error of some UAV is excused
+    spans_label: str = ""
+    note: str = ""
+
+    @property
+    def quantity(self) -> str:
+        """The label of the vertical axis."""
+        name = self.title.split(":")[-1].split(",")[0].strip()
+        return name[:1].lower() + name[1:]
+
+
+def overlaid(charts: Sequence[Chart], others: Sequence[Chart], name: str) -> list[Chart]:
+    """The charts with the curves of another flight in the charts of the same key: in the same colours, dotted."""
+    by_key, both = {chart.key: chart for chart in others}, []
+    for chart in charts:
+        if other := by_key.get(chart.key):
+            curves = [
+                replace(
+                    curve,
+                    label=f"{curve.label}, {name}",
+                    look=Look(curve.look.colour, (curve.look.dash + _OTHER_DASH) % len(DASHES)),
+                    other=True,
+                )
+                for curve in other.curves
+            ]
+            note = f"{chart.note} Dotted, in the same colours: {name}.".strip()
+            chart = replace(chart, curves=(*chart.curves, *curves), note=note)
+        both.append(chart)
+    return both
+
+
+class Points(NamedTuple):
+    """Samples of one quantity."""
+
+    t: Array  # (P,) [s]
+    values: Array  # (P,)
+
+
+class Thinner:
+    """Reduces a curve of `total` samples, which arrives block by block, to the extremes of each of many spans.
+
+    A span that has NaN or infinity in it keeps the first of these too, so that a gap stays a gap.
+    """
+
+    def __init__(self, total: int, points: int = _IN_MEMORY) -> None:
+        self._short = total <= points
+        self._edges = np.linspace(0, total, max((points - 2) // 3, 2) + 1).astype(np.int64)
+        self._total = total
+        self._taken = 0  # samples of complete spans
+        self._open = Points(np.empty(0), np.empty(0))  # samples of the incomplete span
+        self._parts: list[Points] = []
+
+    def add(self, t: Array, values: Array) -> None:
+        """Take the next samples (T,) [s] and (T,), ascending."""
+        if self._short:
+            self._parts.append(Points(t, values))
+            return
+        held = Points(np.append(self._open.t, t), np.append(self._open.values, values))
+        seen = self._taken + held.t.size
+        first, last = np.searchsorted(self._edges, (self._taken, seen), side="right") - 1
+        done = int(self._edges[last]) - self._taken
+        if done:
+            kept = _extremes(held.values, self._edges[first : last + 1] - self._taken)
+            # Both ends of the curve are kept too.
+            kept |= {0} if self._taken == 0 else set()
+            kept |= {done - 1} if seen == self._total else set()
+            chosen = np.array(sorted(kept), dtype=np.int64)
+            self._parts.append(Points(held.t[chosen], held.values[chosen]))
+        self._open = Points(held.t[done:], held.values[done:])
+        self._taken += done
+
+    def points(self) -> Points:
+        """The points that are kept."""
+        t, values = zip(*self._parts, strict=True)
+        return Points(np.concatenate(t), np.concatenate(values))
+
+
+def thin(t: Array, values: Array, points: int) -> Points:
+    """At most `points` points of a curve (T,) [s] and (T,), see `Thinner`."""
+    if t.size <= points:
+        return Points(t, values)
+    thinner = Thinner(t.size, points)
+    thinner.add(t, values)
+    return thinner.points()
+
+
+def _extremes(values: Array, edges: NDArray[np.int64]) -> set[int]:
+    """Indices of the smallest, the largest and the first non-finite value of each span."""
+    kept = set()
+    for begin, end in pairwise(edges.tolist()):
+        part = values[begin:end]
+        bad = np.flatnonzero(~np.isfinite(part))
+        if bad.size:
+            kept.add(begin + int(bad[0]))
+        if bad.size < part.size:
+            kept |= {begin + int(np.nanargmin(part)), begin + int(np.nanargmax(part))}
+    return kept
+
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 
@@ -107,17 +268,11 @@ class FlightView:
         begin, end = ((edge - self.recording.start_ns) * NANO for edge in window)
         return begin, end
 
-    def avoiding(self, uav: int) -> list[Window]:
-        """Spans in which a UAV was avoiding something."""
-        return self._rising(uav, "avoidance_active_s")
-
-    def deadlocks(self, uav: int) -> list[Window]:
-        """Spans in which a UAV was in a deadlock."""
-        return self._rising(uav, "deadlock_s")
-
-    def _rising(self, uav: int, name: str) -> list[Window]:
+    def rising(self, uav: int, name: str) -> list[tuple[float, float]]:
+        """Spans [s] in which a counter of a UAV rises, one of `COUNTERS`."""
         counters = self.recording.counters.get(uav)
-        return [] if counters is None else merged(rising(counters, name))
+        windows = [] if counters is None else merged(rising(counters, name))
+        return [self.seconds(window) for window in windows]
 
 
 def view_of(
@@ -133,15 +288,6 @@ def view_of(
     except PtnsbcError as error:
         verdict, problem = None, str(error)
     return FlightView(recording, status, limit_m, verdict, problem, bag)
-
-
-def read_view(bag: Path, options: ReadOptions) -> FlightView:
-    """Read a bag and judge it.
-
-    Raises:
-        PtnsbcError: no bag, cut, damaged, or without a scenario.
-    """
-    return view_of(read_recording(bag, options), read_status(bag), options.tolerance, bag)
 
 
 def _look_of(flight: FlightView, uav: int) -> Look:
@@ -195,14 +341,14 @@ def _excused(flight: FlightView) -> tuple[Span, ...]:
 
 def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
-    found = ThinnedCurves[int](leg.samples)
+    curves = defaultdict[int, Thinner](lambda: Thinner(leg.samples))
     try:
         for block in leg.blocks():
             for uav, error in formation_errors(leg, block).items():
-                found.add(uav, flight.times(block.stamps), error)
+                curves[uav].add(flight.times(block.stamps), error)
     except VerdictError:
         return {}
-    return found.points()
+    return {uav: curve.points() for uav, curve in curves.items()}
 
 
 def _with_gaps(pieces: list[Points]) -> Points:
@@ -250,16 +396,22 @@ def errors(flight: FlightView) -> Chart | None:
     )
 
 
-def _tightest(curves: list[Curve]) -> tuple[Curve, ...]:
+def _distances(
+    key: str, title: str, curves: list[Curve], keep_outs: Iterable[float]
+) -> Chart | None:
+    """A chart of the tightest pairs, with the keep-outs as limits."""
     # nanmin of nothing warns; a pair without a finite distance comes last
     closest = [float(np.min(np.where(np.isfinite(c.values), c.values, np.inf))) for c in curves]
     order = sorted(range(len(curves)), key=lambda k: (closest[k], k))[:MOST_PAIRS]
-    return tuple(curves[k] for k in sorted(order))
-
-
-def _left_out(curves: list[Curve]) -> str:
-    left = len(curves) - MOST_PAIRS
-    return f"The {MOST_PAIRS} tightest of {len(curves)} pairs." if left > 0 else ""
+    left_out = f"The {MOST_PAIRS} tightest of {len(curves)} pairs."
+    return _chart(
+        key,
+        title,
+        "m",
+        [curves[k] for k in sorted(order)],
+        limits=tuple(Limit(radius, f"keep-out {radius:g} m") for radius in sorted(set(keep_outs))),
+        note=left_out if len(curves) > MOST_PAIRS else "",
+    )
 
 
 def _positions(flight: FlightView) -> Iterator[tuple[Array, dict[int, Array]]]:
@@ -271,46 +423,44 @@ def _positions(flight: FlightView) -> Iterator[tuple[Array, dict[int, Array]]]:
 
 def between(flight: FlightView) -> Chart | None:
     """Distances of all pairs of UAVs."""
-    ids, found = flight.scenario.uav_ids, ThinnedCurves[tuple[int, int]](flight.samples)
+    ids = flight.scenario.uav_ids
+    thinners = defaultdict[tuple[int, int], Thinner](lambda: Thinner(flight.samples))
     for t, places in _positions(flight):
-        for pair in combinations(flight.uavs, 2):
-            found.add(pair, t, np.linalg.norm(places[pair[0]] - places[pair[1]], axis=1))
+        for a, b in combinations(flight.uavs, 2):
+            thinners[a, b].add(t, np.linalg.norm(places[a] - places[b], axis=1))
     curves = []
-    for (a, b), points in found.points().items():
+    for (a, b), thinner in thinners.items():
         style = Look(look(ids.index(a)).colour, (ids.index(b) - ids.index(a) - 1) % len(DASHES))
-        curves.append(Curve(f"UAV {a} – {b}", style, *points, (a, b)))
-    scenario = flight.scenario
-    keep_outs = sorted({scenario.keep_out_between(*pair) for pair in combinations(ids, 2)})
-    limits = tuple(
-        Limit(keep_out, f"keep-out {keep_out:g} m") for keep_out in keep_outs[:_MOST_LIMITS]
-    )
-    kept, note = _tightest(curves), _left_out(curves)
-    return _chart("between", "Separation between UAVs", "m", kept, limits=limits, note=note)
+        curves.append(Curve(f"UAV {a} – {b}", style, *thinner.points(), (a, b)))
+    keep_outs = {flight.scenario.keep_out_between(*pair) for pair in combinations(ids, 2)}
+    shown = sorted(keep_outs)[:_MOST_LIMITS]
+    return _distances("between", "Separation between UAVs", curves, shown)
 
 
 def obstacles(flight: FlightView) -> Chart | None:
     """Distances of all UAVs from all obstacles: from the centres of spheres, from the surfaces of all others."""
-    known, found = flight.scenario.world.bodies, ThinnedCurves[tuple[int, int]](flight.samples)
+    bodies = flight.scenario.world.bodies
+    thinners = defaultdict[tuple[int, int], Thinner](lambda: Thinner(flight.samples))
     recording = flight.recording
     later_s = (recording.start_ns - recording.first_ns) * NANO  # t counts from the judged leg
     for t, places in _positions(flight):
-        for uav, (number, one) in product(flight.uavs, enumerate(known)):
-            found.add((uav, number), t, one.distances(places[uav], t + later_s))
+        for uav, (number, body) in product(flight.uavs, enumerate(bodies)):
+            thinners[uav, number].add(t, body.distances(places[uav], t + later_s))
     curves = []
-    for (uav, number), points in found.points().items():
+    for (uav, number), thinner in thinners.items():
         style = Look(_look_of(flight, uav).colour, number % len(DASHES))
-        curves.append(Curve(f"UAV {uav} – {known[number].name}", style, *points, (uav,)))
-    radii = sorted({float(one.keep_out_m) for one in known})
-    limits = tuple(Limit(radius, f"keep-out {radius:g} m") for radius in radii)
-    kept, note = _tightest(curves), _left_out(curves)
-    return _chart("obstacles", "Separation from obstacles", "m", kept, limits=limits, note=note)
+        name = f"UAV {uav} – {bodies[number].name}"
+        curves.append(Curve(name, style, *thinner.points(), (uav,)))
+    radii = (float(body.keep_out_m) for body in bodies)
+    return _distances("obstacles", "Separation from obstacles", curves, radii)
 
 
 # Inputs
 
 
-def _inputs(flight: FlightView, columns: slice, until_s: float | None = None) -> list[Curve]:
-    """The size of some columns of the wrench, of the first `until_s` seconds or of all the time shown."""
+def _input(flight: FlightView, kind: str, until_s: float | None = None) -> Chart | None:
+    """The size of the commanded force or torque, of the first second or of all the time shown."""
+    columns, unit = (slice(0, 3), "N") if kind == "force" else (slice(3, 6), "N m")
     curves = []
     first_ns, last_ns = flight.window_ns
     if until_s is not None:
@@ -322,49 +472,25 @@ def _inputs(flight: FlightView, columns: slice, until_s: float | None = None) ->
         begin, end = (0, 0) if track is None else track.span(first_ns, last_ns)
         if track is None or end - begin < 2:
             continue
-        found = Thinner(end - begin)
+        thinner = Thinner(end - begin)
         for block in track.blocks(begin, end):
             size = np.linalg.norm(block.values[:, columns], axis=1)
-            found.add(flight.times(block.t_ns), size)
-        curves.append(_curve_of(flight, uav, *found.points()))
-    return curves
+            thinner.add(flight.times(block.t_ns), size)
+        curves.append(_curve_of(flight, uav, *thinner.points()))
+    limits = _force_limits(flight) if kind == "force" else ()
+    key, when = (kind, "") if until_s is None else (f"{kind}-first", ", first second")
+    return _chart(key, f"Input: {kind}{when}", unit, curves, limits=limits)
 
 
 def _force_limits(flight: FlightView) -> tuple[Limit, ...]:
     scenario = flight.scenario
     vehicles = [scenario.vehicle(uav) for uav in flight.uavs]
-    weights = sorted({one.mass_kg * scenario.world.gravity_m_s2 for one in vehicles})
-    limits = [Limit(weight, f"weight {weight:.1f} N") for weight in weights]
+    weights = {one.mass_kg * scenario.world.gravity_m_s2 for one in vehicles}
+    limits = [Limit(weight, f"weight {weight:.1f} N") for weight in sorted(weights)]
     if scenario.plant.kind == "quadrotor":
-        for most in sorted(
-            {float(one.quadrotor.max_thrust_n) for one in vehicles if one.quadrotor}
-        ):
-            limits.append(Limit(most, f"most the rotors give, {most:.1f} N"))
+        largest = {float(one.quadrotor.max_thrust_n) for one in vehicles if one.quadrotor}
+        limits += [Limit(most, f"most the rotors give, {most:.1f} N") for most in sorted(largest)]
     return tuple(limits[:_MOST_LIMITS])
-
-
-def force(flight: FlightView) -> Chart | None:
-    """Size of the commanded force."""
-    curves = _inputs(flight, slice(0, 3))
-    return _chart("force", "Input: force", "N", curves, limits=_force_limits(flight))
-
-
-def force_first(flight: FlightView) -> Chart | None:
-    """The commanded force of the first second; a law that starts far from its goal jumps there."""
-    curves = _inputs(flight, slice(0, 3), 1.0)
-    limits = _force_limits(flight)
-    return _chart("force-first", "Input: force, first second", "N", curves, limits=limits)
-
-
-def torque(flight: FlightView) -> Chart | None:
-    """Size of the commanded torque."""
-    return _chart("torque", "Input: torque", "N m", _inputs(flight, slice(3, 6)))
-
-
-def torque_first(flight: FlightView) -> Chart | None:
-    """The commanded torque of the first second."""
-    curves = _inputs(flight, slice(3, 6), 1.0)
-    return _chart("torque-first", "Input: torque, first second", "N m", curves)
 
 
 # Estimator, gain, conditioning, ticks, latency, links
@@ -378,13 +504,13 @@ def estimator(flight: FlightView) -> Chart | None:
     tracks = flight.recording.estimate
     estimates = {uav: tracks[uav] for uav in flight.scenario.followers if uav in tracks}
     truth = flight.recording.odometry[leader_id]
-    found = ThinnedCurves[int](flight.samples)
+    thinners = defaultdict[int, Thinner](lambda: Thinner(flight.samples))
     for grid in flight.grids():
         leader = truth.at(grid)[:, :3]
         for uav, track in estimates.items():
             error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
-            found.add(uav, flight.times(grid), np.maximum(error, FLOOR_M))
-    curves = [_curve_of(flight, uav, *points) for uav, points in found.points().items()]
+            thinners[uav].add(flight.times(grid), np.maximum(error, FLOOR_M))
+    curves = [_curve_of(flight, uav, *thinner.points()) for uav, thinner in thinners.items()]
     deadline = flight.scenario.gains.estimator.deadline_s
     marks = (Mark(deadline, f"its deadline {deadline:g} s"),)
     return _chart("estimator", "Error of the estimated leader", "m", curves, marks=marks, log=True)
@@ -453,10 +579,11 @@ def age(flight: FlightView) -> Chart | None:
 
 CHARTS: dict[str, Callable[[FlightView], Chart | None]] = {
     "errors": errors,
-    "force": force,
-    "force-first": force_first,
-    "torque": torque,
-    "torque-first": torque_first,
+    "force": partial(_input, kind="force"),
+    # A law that starts far from its goal jumps in the first second.
+    "force-first": partial(_input, kind="force", until_s=1.0),
+    "torque": partial(_input, kind="torque"),
+    "torque-first": partial(_input, kind="torque", until_s=1.0),
     "between": between,
     "obstacles": obstacles,
     "estimator": estimator,

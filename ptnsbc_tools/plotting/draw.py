@@ -15,8 +15,18 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario import Obstacle
 from ptnsbc_sim.verdict.recording import Recording, tolerance_of
-from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look, thin
-from ptnsbc_tools.plotting.charts import FlightView, errors
+from ptnsbc_tools.plotting.charts import (
+    COLOURS,
+    DASHES,
+    GOOD,
+    OBSTACLE,
+    Chart,
+    FlightView,
+    Look,
+    errors,
+    look,
+    thin,
+)
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -235,13 +245,7 @@ def _paths(recording: Recording) -> dict[int, Array]:
 
 
 def draw_flight(recording: Recording, path: Path, tolerance: float | None = None) -> Path:
-    """Draw a recording that has a verdict: from above, in space, and its formation error.
-
-    Args:
-        recording: the flight, with all its legs.
-        path: PNG, SVG or PDF to write.
-        tolerance: [m], by default that of the scenario.
-    """
+    """Draw a recording that has a verdict into a PNG, SVG or PDF: from above, in space, and its formation error."""
     positions = _paths(recording)
     figure = blank_figure((12, 9))
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))

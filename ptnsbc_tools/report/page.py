@@ -26,11 +26,19 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.verdict import Series, Track, Verdict
+from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_sim.verdict.recording import NANO
-from ptnsbc_sim.verdict.verdict import LegVerdict
-from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look, overlaid, thin
-from ptnsbc_tools.plotting.charts import FlightView, charts, deadlines
+from ptnsbc_tools.plotting.charts import (
+    COLOURS,
+    DARK_COLOURS,
+    Chart,
+    FlightView,
+    charts,
+    deadlines,
+    look,
+    overlaid,
+    thin,
+)
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
 
 _FRAME_HZ = 25  # the script interpolates between frames
@@ -119,13 +127,28 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
     path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
     path = np.stack([reference(vector, float(one)).position for one in path_t])
     begins = [((t0_ns - recording.start_ns) * NANO, leg) for t0_ns, leg in recording.epochs]
+    flown_s, beside = np.maximum((stamps - recording.first_ns) * NANO, 0.0), {}
+    if scenario.formation.moves:  # (F, 3), beside the leader
+        beside = {
+            uav: pack.add(places_beside_leader(scenario, uav, flown_s))
+            for uav in flight.uavs
+            if uav != scenario.leader.id
+        }
     return {
         "t": pack.add(t),
         "poses": pack.add(np.stack(poses, axis=1)),  # (F, N, 7)
         "path": pack.add(path),
         "legs": [(begin, leg) for begin, leg in begins if 0 < begin <= float(t[-1])],
         "deadlines": [mark.t for mark in deadlines(flight)],
-        "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
+        "uavs": [
+            {
+                **uav_of(scenario, uav),
+                "places": beside.get(uav),
+                "avoiding": flight.rising(uav, "avoidance_active_s"),
+                "deadlocks": flight.rising(uav, "deadlock_s"),
+            }
+            for uav in flight.uavs
+        ],
         "obstacles": obstacles_of(scenario, (recording.start_ns - recording.first_ns) * NANO),
     }
 
@@ -154,21 +177,6 @@ def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any
     return found
 
 
-def _uav(
-    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
-) -> dict[str, Any]:
-    scenario, places = flight.scenario, None
-    if scenario.formation.moves and uav != scenario.leader.id:  # (F, 3), beside the leader
-        times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
-        places = pack.add(places_beside_leader(scenario, uav, times))
-    return {
-        **uav_of(scenario, uav),
-        "places": places,
-        "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
-        "deadlocks": [flight.seconds(window) for window in flight.deadlocks(uav)],
-    }
-
-
 def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
     """A UAV as the page's script draws it: what does not change in a flight."""
     leader = uav == scenario.leader.id
@@ -188,31 +196,10 @@ def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
     curves = []
     for curve in chart.curves:
         kept = thin(curve.t, curve.values, points)
-        curves.append(
-            {
-                "label": curve.label,
-                "uavs": curve.uavs,
-                "colour": curve.look.colour,
-                "dash": curve.look.dash,
-                "other": curve.other,
-                "t": pack.add(kept.t),
-                "values": pack.add(kept.values),
-            }
-        )
-    return {
-        "key": chart.key,
-        "title": chart.title,
-        "unit": chart.unit,
-        "log": chart.log,
-        "note": chart.note,
-        "band": chart.band,
-        "bandLabel": chart.band_label,
-        "limits": [[one.value, one.label] for one in chart.limits],
-        "marks": [[one.t, one.label] for one in chart.marks],
-        "spans": [[one.begin, one.end] for one in chart.spans],
-        "spansLabel": chart.spans_label,
-        "curves": curves,
-    }
+        arrays = {"t": pack.add(kept.t), "values": pack.add(kept.values)}
+        about = {"label": curve.label, "uavs": curve.uavs, "other": curve.other}
+        curves.append({**about, **curve.look._asdict(), **arrays})
+    return {**vars(chart), "curves": curves}
 
 
 def asset(name: str) -> str:
@@ -241,26 +228,24 @@ def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
     if "mode" in about:
         facts["flown"] = about["mode"]
     return "".join(
-        f"<li>{escape(name)} <b>{escape(str(value))}</b></li>" for name, value in facts.items()
+        f"<li>{escape(k)} <b>{escape(str(value))}</b></li>" for k, value in facts.items()
     )
 
 
+def _plain(text: Any) -> str:
+    return escape(text.plain if isinstance(text, Text) else str(text))
+
+
 def _cell(value: Any) -> str:
-    plain = value.plain if isinstance(value, Text) else str(value)
-    if plain in _WORDS:
-        return f'<span class="word {plain}">{escape(plain)}</span>'
-    return escape(plain)
-
-
-def _name(header: Any) -> str:
-    return escape(header.plain if isinstance(header, Text) else str(header))
+    plain = _plain(value)
+    return f'<span class="word {plain}">{plain}</span>' if plain in _WORDS else plain
 
 
 def html_table(table: Table, title: str = "") -> str:
     """A Rich table as an HTML table in a box that scrolls by itself; `title` replaces its own."""
     sides = ["number" if column.justify == "right" else "text" for column in table.columns]
     head = "".join(
-        f'<th scope="col" class="{side}">{_name(column.header)}</th>'
+        f'<th scope="col" class="{side}">{_plain(column.header)}</th>'
         for side, column in zip(sides, table.columns, strict=True)
     )
     rows = []
@@ -271,7 +256,7 @@ def html_table(table: Table, title: str = "") -> str:
             for side, cell in zip(sides, cells, strict=True)
         )
         rows.append(f"<tr{look}>{inside}</tr>")
-    title = _name(title or table.title or "")
+    title = _plain(title or table.title or "")
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>'
         f"<caption>{title}</caption><thead><tr>{head}</tr></thead>"
@@ -279,34 +264,23 @@ def html_table(table: Table, title: str = "") -> str:
     )
 
 
-def _leg_table(verdict: Verdict, leg: LegVerdict) -> str:
-    title = "Deadline, UAV by UAV"
-    if len(verdict.legs) > 1:
-        title = f"Leg {leg.number}, from {leg.epoch_s - verdict.epoch_s:.2f} s: {leg.verdict}"
-    return html_table(deadline_table(replace(verdict, uavs=leg.uavs)), title)
-
-
-def _details(summary: str, text: str) -> str:
-    return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
-
-
 def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None = None) -> str:
-    """The whole page of a flight.
-
-    Args:
-        flight: what is shown.
-        about: metadata of the bag.
-        other: a flight whose curves are shown beside its own.
-    """
+    """The whole page of a flight, with the metadata of its bag; the curves of `other` are shown beside its own."""
     verdict, name = flight.verdict, flight.scenario.name
     line, why, deadlines, tables = f"No verdict: {flight.problem}", "", "", ""
     if verdict is not None:
         line = verdict_line(verdict).plain.partition("(")[2].rstrip(")")
         why = "".join(f"<li>{escape(one.plain)}</li>" for one in reasons(verdict))
         _, *others = verdict_tables(verdict)
-        deadlines = "".join(_leg_table(verdict, leg) for leg in verdict.legs)
+        for leg in verdict.legs:
+            title = "Deadline, UAV by UAV"
+            if len(verdict.legs) > 1:
+                begin_s = leg.epoch_s - verdict.epoch_s
+                title = f"Leg {leg.number}, from {begin_s:.2f} s: {leg.verdict}"
+            deadlines += html_table(deadline_table(replace(verdict, uavs=leg.uavs)), title)
         tables = "".join(html_table(table) for table in others)
     recorded = "\n".join(f"{key}: {value}" for key, value in sorted(about.items()))
+    details = {"Recorded with": recorded, "Scenario": flight.scenario.text}
     return Template(asset("page.html")).substitute(
         {
             "title": f"{escape(name)} – flight report",
@@ -317,8 +291,11 @@ def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None 
             "reasons": f"<ul>{why}</ul>" if why else "",
             "deadlines": deadlines,
             "tables": tables,
-            "details": (_details("Recorded with", recorded) if recorded else "")
-            + _details("Scenario", flight.scenario.text),
+            "details": "".join(
+                f"<details><summary>{title}</summary><pre>{escape(text)}</pre></details>"
+                for title, text in details.items()
+                if text or title == "Scenario"
+            ),
             "data": content(flight, other),
             "plotly": plotly(),
             "view": asset("view.html"),

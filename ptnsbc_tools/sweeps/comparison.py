@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepPlan
 from ptnsbc_sim.verdict.deadline import MET
-from ptnsbc_tools.sweeps.summary import new_table, number
-from ptnsbc_tools.sweeps.table import FlightTable, Share, share_of
+from ptnsbc_tools.sweeps.summary import FlightTable, Share, new_table, number, share_of
 
 LEVEL = 0.05
 _NORMAL = 1.959963984540054  # of the standard normal distribution, 97.5 %
@@ -159,26 +158,15 @@ def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
 
 
 def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -> SweepComparison:
-    """Compare the flights that both have.
-
-    Args:
-        a: the flights of A.
-        b: the flights of B.
-        margin_m: an error that grew by less is not worse.
-        seed: of the bootstrap.
-    """
+    """Compare the flights that both have; an error that grew by less than the margin is not worse."""
     a, b = in_both(a, b)
     flights = met_difference(a.flights.met, b.flights.met)
     uavs = met_difference(a["verdict"] == MET, b["verdict"] == MET)
-    figures = tuple(
-        difference
+    differences = (
+        median_difference(name, label, getattr(a.flights, name), getattr(b.flights, name), seed)
         for label, name in (*ERRORS, *_DISTANCES)
-        if (
-            difference := median_difference(
-                name, label, getattr(a.flights, name), getattr(b.flights, name), seed
-            )
-        )
     )
+    figures = tuple(difference for difference in differences if difference is not None)
     alone = len(a.flights.draw) == 1
     reasons = []
     if alone and uavs.only_a:
@@ -223,26 +211,15 @@ def line(found: SweepComparison) -> Text:
 
 
 def as_json(found: SweepComparison) -> dict[str, Any]:
-    """The comparison as plain data."""
-
-    def met(one: MetDifference) -> dict[str, Any]:
-        shares = {"a": one.a.as_json(), "b": one.b.as_json()}
-        return {**shares, "only_a": one.only_a, "only_b": one.only_b}
-
-    flights = found.flights
-    test = {"p": flights.p, "low": flights.low, "high": flights.high}
-    return {
-        "draws": found.draws,
-        "worse": found.worse,
-        "reasons": list(found.reasons),
-        "margin_m": found.margin_m,
-        "flights": {**met(flights), **test},
-        "uavs": met(found.uavs),
-        "figures": [
-            {
-                key: number(value) if isinstance(value, float) else value
-                for key, value in asdict(one).items()
-            }
-            for one in found.figures
-        ],
-    }
+    """The comparison as plain data; UAVs of one flight are not independent: they have no test."""
+    flights, uavs = (
+        {**vars(of), "a": of.a.as_json(), "b": of.b.as_json()} for of in (found.flights, found.uavs)
+    )
+    figures = [
+        {key: number(of) if isinstance(of, float) else of for key, of in vars(figure).items()}
+        for figure in found.figures
+    ]
+    of_uavs = {key: uavs[key] for key in ("a", "b", "only_a", "only_b")}
+    about = {"draws": found.draws, "worse": found.worse, "reasons": list(found.reasons)}
+    both = {"flights": flights, "uavs": of_uavs, "figures": figures}
+    return {**about, "margin_m": found.margin_m, **both}

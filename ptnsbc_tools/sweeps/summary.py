@@ -5,21 +5,257 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import astuple, dataclass, fields
+from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.sweep import SweepAxis
+from ptnsbc_sim.sweep import SweepError, SweepPlan
 from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES
 from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
+from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
+from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED
-from ptnsbc_tools.sweeps.table import FlownSweep, Share, share_of
 from ptnsbc_tools.tables import word
+
+WIDE = 0.2
+"""An interval wider than this is called wide."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """`count` of `of`, and the Wilson interval of the probability at 95 %."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """The share itself; NaN of nothing."""
+        return self.count / self.of if self.of else float("nan")
+
+    @property
+    def wide(self) -> bool:
+        """True if the interval says little: fly more."""
+        return self.high - self.low > WIDE
+
+    @property
+    def interval(self) -> str:
+        """`43.3 to 81.9 %`; one bound where the count is none or all."""
+        digits = 1 if self.high - self.low > 0.01 else 3
+        if self.count == 0:
+            return f"at most {100 * self.high:.{digits}f} %"
+        if self.count == self.of:
+            return f"at least {100 * self.low:.{digits}f} %"
+        return f"{100 * self.low:.1f} to {100 * self.high:.1f} %"
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "0 of 0"
+        wide = ", wide" if self.wide else ""
+        return f"{self.count} of {self.of}, {100 * self.value:.1f} % ({self.interval}{wide})"
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain data; null where there are no flights."""
+        share = {"share": self.value if self.of else None}
+        bounds = {"low": self.low, "high": self.high, "wide": self.wide}
+        return {"count": self.count, "of": self.of, **share, **bounds}
+
+
+def share(count: int, of: int) -> Share:
+    """A share with its Wilson interval."""
+    from scipy.stats import binomtest
+
+    if not of:
+        return Share(0, 0, 0.0, 1.0)
+    found = binomtest(count, of).proportion_ci(method="wilson")
+    return Share(count, of, float(found.low), float(found.high))
+
+
+def share_of(met: NDArray[np.bool_]) -> Share:
+    """The share of True."""
+    return share(int(np.sum(met)), len(met))
+
+
+Column = NDArray[Any]
+
+_ERRORS = ("error_at_deadline_m", "largest_after_m", "largest_after_all_m", "rmse_after_m")
+"""Columns in which NaN is an error that is not finite; None is no figure."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """One value (D,) for each flight. An infinite error was not finite, a NaN is no figure."""
+
+    draw: NDArray[np.int64]
+    met: NDArray[np.bool_]
+    verdict: Column
+    check: Column  # accepted | refused, empty without dry runs
+    start_error_m: Array  # the largest of its UAVs
+    error_at_deadline_m: Array  # the largest
+    largest_after_m: Array  # the largest, without excused spans
+    largest_after_all_m: Array  # the largest, with excused spans
+    deadlock_s: Array  # the longest of its UAVs
+    closest_uav_m: Array
+    closest_obstacle_m: Array
+    worst: NDArray[np.int64]  # row of the UAV to look at: inside a keep-out, not met, largest error
+
+
+@dataclass(frozen=True)
+class FlightTable:
+    """Rows of UAVs, sorted by draw."""
+
+    columns: Mapping[str, Column]  # (R,)
+
+    def __getitem__(self, name: str) -> Column:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return len(self.columns["draw"])
+
+    @cached_property
+    def first(self) -> NDArray[np.int64]:
+        """The first row of every flight."""
+        return np.unique(self["draw"], return_index=True)[1]
+
+    @cached_property
+    def flights(self) -> Flights:
+        """The flights, in the order of their draws."""
+        verdict = self["flight_verdict"][self.first]
+        return Flights(
+            draw=self["draw"][self.first],
+            met=verdict == MET,
+            verdict=verdict,
+            check=self["check"][self.first],
+            start_error_m=self._most("start_error_m"),
+            error_at_deadline_m=self._most("error_at_deadline_m"),
+            largest_after_m=self._most("largest_after_m"),
+            largest_after_all_m=self._most("largest_after_all_m"),
+            deadlock_s=self._most("deadlock_s"),
+            closest_uav_m=self._most("closest_uav_m", least=True),
+            closest_obstacle_m=self._most("closest_obstacle_m", least=True),
+            worst=self._worst(),
+        )
+
+    def _most(self, name: str, *, least: bool = False) -> Array:
+        """The largest or least of the UAVs of each flight; NaN when none has a figure."""
+        return (np.fmin if least else np.fmax).reduceat(self[name], self.first)
+
+    def _worst(self) -> NDArray[np.int64]:
+        errors = np.nan_to_num(self["largest_after_all_m"], nan=-1.0, posinf=np.inf)
+        rank = np.select([self["verdict"] == VIOLATED, self["verdict"] != MET], [2, 1], 0)
+        ends = [*self.first[1:], len(self)]
+        found = [
+            begin + int(np.lexsort((errors[begin:end], rank[begin:end]))[-1])
+            for begin, end in zip(self.first, ends, strict=True)
+        ]
+        return np.array(found, dtype=np.int64)
+
+    @property
+    def different(self) -> int:
+        """Flights that differ from each other: flights with the same energy of every UAV are the same flight."""
+        return len({part.tobytes() for part in np.split(self["energy_n2_s"], self.first[1:])})
+
+    @property
+    def drawn(self) -> dict[str, Column]:
+        """The drawn values of each flight (D,), by key."""
+        names = [name for name in self.columns if name.startswith(DRAWN)]
+        return {name.removeprefix(DRAWN): self[name][self.first] for name in names}
+
+
+@dataclass(frozen=True)
+class FlownSweep:
+    """A sweep that was flown, from its folder."""
+
+    plan: SweepPlan
+    folder: Path
+    table: FlightTable
+    not_flown: tuple[tuple[int, str], ...] = ()  # draw and cause of those that cannot be flown
+
+    @property
+    def missing(self) -> int:
+        """Draws without a flight."""
+        return self.plan.draws - len(self.table.flights.draw)
+
+
+def plan_in(folder: Path) -> SweepPlan:
+    """The plan of a sweep from its folder; SweepError when there is none, or it cannot be read."""
+    path = folder / PLAN
+    try:
+        return SweepPlan.from_json(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise SweepError(f"{folder}: no sweep: expected a folder with {PLAN}") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise SweepError(f"{path}: no plan of a sweep: {error}") from None
+
+
+def read_sweep(folder: Path) -> FlownSweep:
+    """A sweep from its folder; SweepError when it is none, or it is not complete."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    plan = plan_in(folder)
+    path = folder / TABLE
+    if not path.is_file():
+        raise SweepError(
+            f"{folder}: the sweep was ended early: expected {TABLE}; the command that began it continues"
+        )
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise SweepError(f"{path}: cannot be read: {error}") from None
+    lacking = [field.name for field in fields(SweepRow) if field.name not in table.column_names]
+    if lacking:
+        raise SweepError(f"{path}: lacks the columns {', '.join(lacking)}: fly the sweep again")
+    if not len(table):
+        raise SweepError(f"{path}: holds no flight: fly the sweep again")
+    without = pc.equal(table["verdict"], NOT_FLOWN)
+    lost = tuple(
+        (row["draw"], row["cause"])
+        for row in table.filter(without).select(["draw", "cause"]).to_pylist()
+    )
+    table = table.filter(pc.invert(without))
+    if not len(table):
+        raise SweepError(f"{folder}: no draw could be flown: {lost[0][1]}")
+    columns = {name: _column(name, table.column(name)) for name in table.column_names}
+    return FlownSweep(plan, folder, FlightTable(columns), lost)
+
+
+def _column(name: str, column: Any) -> Column:
+    import pyarrow as pa
+
+    if not pa.types.is_floating(column.type):
+        return np.array(column.to_pylist())
+    values: Array = np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    if name in _ERRORS:
+        values[np.isnan(values) & ~np.asarray(column.is_null())] = np.inf
+    return values
+
+
+def table_of(rows: list[SweepRow]) -> FlightTable:
+    """The rows of flights that were not flown by a sweep."""
+    columns: dict[str, Column] = {}
+    for field, *values in zip(fields(SweepRow), *(astuple(row) for row in rows), strict=True):
+        if "float" not in str(field.type):
+            columns[field.name] = np.array(values)
+            continue
+        found = np.array([np.nan if value is None else value for value in values])
+        none = np.array([value is None for value in values])
+        if field.name in _ERRORS:
+            found[np.isnan(found) & ~none] = np.inf
+        columns[field.name] = found
+    return FlightTable(columns)
+
 
 _WORST = 5
 _MOST_CELLS = 40
@@ -27,17 +263,17 @@ _UAV = re.compile(r"\b(uav|UAV )\d+")
 _NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 _UPWARD = (
-    ("settled", "settling_s", "s"),
-    ("error at tf", "error_at_deadline_m", "m"),
-    ("largest after tf, without excused spans", "largest_after_m", "m"),
-    ("largest after tf, with excused spans", "largest_after_all_m", "m"),
-    ("RMSE after tf, without excused spans", "rmse_after_m", "m"),
-    ("outside the band after tf, excused", "excused_outside_s", "s"),
-    ("back in place after an encounter", "regained_s", "s"),
-    ("promised for it", "recovery_s", "s"),
-    ("saturated until tf", "saturated_s", "s"),
-    ("peak force", "peak_force_n", "N"),
-    ("energy (54)", "energy_n2_s", "N^2 s"),
+    ("settled", "settling_s"),
+    ("error at tf", "error_at_deadline_m"),
+    ("largest after tf, without excused spans", "largest_after_m"),
+    ("largest after tf, with excused spans", "largest_after_all_m"),
+    ("RMSE after tf, without excused spans", "rmse_after_m"),
+    ("outside the band after tf, excused", "excused_outside_s"),
+    ("back in place after an encounter", "regained_s"),
+    ("promised for it", "recovery_s"),
+    ("saturated until tf", "saturated_s"),
+    ("peak force", "peak_force_n"),
+    ("energy (54)", "energy_n2_s"),
 )
 _DOWNWARD = (
     ("closest pair of UAVs", "closest_uav_m"),
@@ -71,11 +307,6 @@ def new_table(title: str, heads: tuple[str, ...], words: tuple[str, ...] = _WORD
     return table
 
 
-def again(sweep: FlownSweep, draw: int) -> str:
-    """The command that flies one draw again."""
-    return shlex.join(["ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw", str(draw)])
-
-
 def number(value: Any) -> float | None:
     """A finite number, else None: JSON has no others."""
     return float(value) if np.isfinite(value) else None
@@ -96,6 +327,7 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     """The flights to look at: inside a keep-out first, then not met, then the largest error after tf."""
     flights, table = sweep.table.flights, sweep.table
     errors = np.nan_to_num(flights.largest_after_all_m, nan=-1.0, posinf=np.inf)
+    again = ("ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw")
     inside = flights.verdict == VIOLATED
     order = np.lexsort((flights.draw, -errors, flights.met, ~inside))[:count]
     return [
@@ -107,7 +339,7 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
             largest_after_m=number(flights.largest_after_m[k]),
             largest_after_all_m=number(flights.largest_after_all_m[k]),
             closest_uav_m=number(flights.closest_uav_m[k]),
-            command=again(sweep, int(flights.draw[k])),
+            command=shlex.join([*again, str(flights.draw[k])]),
         )
         for k in order
     ]
@@ -123,27 +355,22 @@ class Quantiles(NamedTuple):
     values: tuple[float, ...]
 
 
-def _quantiles(
-    label: str, name: str, unit: str, values: Array, shares: tuple[float, ...]
-) -> Iterator[Quantiles]:
-    """The quantiles of a figure; nothing where no UAV or flight has it."""
-    kept = np.sort(values[~np.isnan(values)])
-    if len(kept):
-        places = (min(int(share * len(kept)), len(kept) - 1) for share in shares)
-        yield Quantiles(label, name, unit, len(kept), tuple(float(kept[k]) for k in places))
+def _quantiles(sweep: FlownSweep) -> Iterator[tuple[bool, Quantiles]]:
+    """Whether it is of flights, not UAVs, and the quantiles of each figure that any of them has.
 
-
-def _upward(sweep: FlownSweep) -> Iterator[Quantiles]:
-    """Median, 95 % and largest of errors and effort, over UAVs."""
-    for label, name, unit in _UPWARD:
-        yield from _quantiles(label, name, unit, sweep.table[name], (0.5, 0.95, 1.0))
-
-
-def _downward(sweep: FlownSweep) -> Iterator[Quantiles]:
-    """Least, 1 % and median of distances, over flights."""
-    for label, name in _DOWNWARD:
-        values = getattr(sweep.table.flights, name)
-        yield from _quantiles(label, name, "m", values, (0.0, 0.01, 0.5))
+    Of UAVs median, 95 % and largest; of flights, whose figures are distances, least, 1 % and median.
+    """
+    for of_flight, figures, shares in (
+        (False, _UPWARD, (0.5, 0.95, 1.0)),
+        (True, _DOWNWARD, (0.0, 0.01, 0.5)),
+    ):
+        for label, name in figures:
+            values = getattr(sweep.table.flights, name) if of_flight else sweep.table[name]
+            kept = np.sort(values[~np.isnan(values)])
+            if len(kept):
+                places = (min(int(share * len(kept)), len(kept) - 1) for share in shares)
+                quantiles = tuple(float(kept[k]) for k in places)
+                yield of_flight, Quantiles(label, name, UNITS[name], len(kept), quantiles)
 
 
 def flights_met(sweep: FlownSweep) -> Share:
@@ -151,19 +378,19 @@ def flights_met(sweep: FlownSweep) -> Share:
     return share_of(sweep.table.flights.met)
 
 
-def uavs_met(sweep: FlownSweep) -> Share:
-    """UAVs that met the deadline and kept their distances; those of one flight are not independent."""
-    return share_of(sweep.table["verdict"] == MET)
+def shares(sweep: FlownSweep) -> dict[str, Share]:
+    """What was met in the UAVs and flights, by the keys of the JSON.
 
-
-def inside_keep_out(sweep: FlownSweep) -> Share:
-    """Flights in which a UAV was inside the keep-out of another UAV or of an obstacle."""
-    return share_of(sweep.table.flights.verdict == VIOLATED)
-
-
-def deadlocks(sweep: FlownSweep) -> Share:
-    """Flights in which avoidance left a UAV no way to its place for `gains.clearance.deadlock_s`."""
-    return share_of(sweep.table.flights.deadlock_s > 0.0)
+    UAVs of one flight are not independent. A deadlock is one in which avoidance left a UAV no way to its place for
+    `gains.clearance.deadlock_s`.
+    """
+    flights = sweep.table.flights
+    return {
+        "flights": flights_met(sweep),
+        "uavs": share_of(sweep.table["verdict"] == MET),
+        "inside_keep_out": share_of(flights.verdict == VIOLATED),
+        "deadlocks": share_of(flights.deadlock_s > 0.0),
+    }
 
 
 def dry_runs(sweep: FlownSweep) -> dict[str, Share]:
@@ -190,21 +417,16 @@ def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
     for cell in range(plan.cells):
         inside = np.flatnonzero(flights.draw % plan.cells == cell)
         if len(inside):
-            values = {axis.key: drawn[axis.key][inside[0]] for axis in plan.grid}
+            values = {axis.key: drawn[axis.key][inside[0]].item() for axis in plan.grid}
             found.append((values, share_of(flights.met[inside])))
     return found
 
 
 def _share_table(sweep: FlownSweep) -> Table:
     table = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
-    shares = {
-        "flights met": flights_met(sweep),
-        "UAVs met": uavs_met(sweep),
-        "flights inside a keep-out": inside_keep_out(sweep),
-        "flights with a deadlock": deadlocks(sweep),
-        **dry_runs(sweep),
-    }
-    for name, one in shares.items():
+    names = ("flights met", "UAVs met", "flights inside a keep-out", "flights with a deadlock")
+    shown = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
+    for name, one in shown.items():
         wide = "wide: fly more" if one.wide else ""
         table.add_row(name, *_share_cells(one), wide)
     return table
@@ -215,17 +437,13 @@ def _share_cells(one: Share) -> tuple[str, str, str, str]:
     return str(one.count), str(one.of), value, one.interval
 
 
-def axis_text(axis: SweepAxis) -> str:
-    """An axis as `--vary` takes it."""
-    between = {UNIFORM: ":", NORMAL: "±", VALUES: ","}[axis.kind]
-    shown = (f"{value:g}" if isinstance(value, float) else str(value) for value in axis.values)
-    return f"{axis.key}={between.join(shown)}"
-
-
 def title(sweep: FlownSweep) -> str:
-    """The flights of a sweep, in a line."""
-    plan = sweep.plan
-    drawn = [axis_text(axis) for axis in plan.axes]
+    """The flights of a sweep, in a line; what varies as options take it."""
+    plan, drawn = sweep.plan, []
+    for axis in plan.axes:
+        between = {UNIFORM: ":", NORMAL: "±", VALUES: ","}[axis.kind]
+        shown = (f"{value:g}" if isinstance(value, float) else str(value) for value in axis.values)
+        drawn.append(f"{axis.key}={between.join(shown)}")
     if plan.starts.kind != "file":
         numbers = ",".join(f"{value:g}" for value in plan.starts.numbers)
         drawn.append(f"starts {plan.starts.kind}:{numbers}")
@@ -241,10 +459,7 @@ def _cells_table(sweep: FlownSweep) -> Table | None:
     heads = (*keys, "met", "of", "share", "95 % interval", "")
     table = new_table("Flights of each cell of the grid", heads)
     for values, one in found[:_MOST_CELLS]:
-        shown = [
-            f"{values[key]:g}" if isinstance(values[key], float) else str(values[key])
-            for key in keys
-        ]
+        shown = (f"{of:g}" if isinstance(of, float) else str(of) for of in values.values())
         table.add_row(*shown, *_share_cells(one), "wide" if one.wide else "")
     if len(found) > _MOST_CELLS:
         table.caption = f"{len(found) - _MOST_CELLS} more cells: --json, or the table"
@@ -263,12 +478,11 @@ def tables(sweep: FlownSweep) -> list[Table]:
     figures = new_table(
         "Errors and effort", ("all UAVs", "unit", "UAVs", "median", "95 %", "largest")
     )
-    for of in _upward(sweep):
-        figures.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values))
     distances = new_table("Distances", ("each flight", "unit", "flights", "least", "1 %", "median"))
-    for of in _downward(sweep):
-        style = "bold red" if of.values[0] < 0.0 else ""
-        distances.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values), style=style)
+    for of_flight, of in _quantiles(sweep):
+        style = "bold red" if of_flight and of.values[0] < 0.0 else ""
+        table = distances if of_flight else figures
+        table.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values), style=style)
     heads = ("draw", "", "UAV", "largest after m", "with excused m", "closest UAV m", "cause")
     look_at = new_table("The flights to look at", heads)
     for flight in worst(sweep):
@@ -296,11 +510,10 @@ def line(sweep: FlownSweep) -> Text:
 
 def as_json(sweep: FlownSweep) -> dict[str, Any]:
     """The summary as plain data."""
-    names = {_upward: ("median", "p95", "max"), _downward: ("min", "p1", "median")}
+    keys = {False: ("median", "p95", "max"), True: ("min", "p1", "median")}
     figures = {
-        of.name: {"unit": of.unit, **dict(zip(keys, map(number, of.values), strict=True))}
-        for quantiles, keys in names.items()
-        for of in quantiles(sweep)
+        of.name: {"unit": of.unit} | dict(zip(keys[of_flight], map(number, of.values), strict=True))
+        for of_flight, of in _quantiles(sweep)
     }
     return {
         "name": sweep.plan.name,
@@ -308,20 +521,9 @@ def as_json(sweep: FlownSweep) -> dict[str, Any]:
         "draws": sweep.plan.draws,
         "missing": sweep.missing,
         "different": sweep.table.different,
-        "flights": flights_met(sweep).as_json(),
-        "uavs": uavs_met(sweep).as_json(),
-        "inside_keep_out": inside_keep_out(sweep).as_json(),
-        "deadlocks": deadlocks(sweep).as_json(),
+        **{name: one.as_json() for name, one in shares(sweep).items()},
         "dry_runs": {name: one.as_json() for name, one in dry_runs(sweep).items()},
-        "cells": [
-            {
-                "values": {
-                    k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()
-                },
-                **one.as_json(),
-            }
-            for values, one in cells(sweep)
-        ],
+        "cells": [{"values": values, **one.as_json()} for values, one in cells(sweep)],
         "causes": [
             {"verdict": verdict, "cause": cause, "uavs": count}
             for verdict, cause, count in causes(sweep)

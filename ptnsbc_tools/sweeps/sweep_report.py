@@ -19,12 +19,12 @@ from rich.table import Table
 from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.fields import unit_of
-from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
+from ptnsbc_tools.plotting.charts import COLOURS, GOOD, OBSTACLE
 from ptnsbc_tools.plotting.draw import blank_figure, save
 from ptnsbc_tools.report.page import asset, html_table
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison, in_both
-from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep, Share, share_of
+from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, share_of
 
 _MOST_BINS = 8
 _LEAST_IN_BIN = 10
@@ -125,12 +125,6 @@ def draw_against(axes: Any, sweep: FlownSweep, axis: DrawnAxis) -> None:
     axes.set_title(f"{sweep.plan.name}: bars are Wilson intervals at 95 %", fontsize=9)
 
 
-def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
-    figure = blank_figure(_SIZE_IN)
-    draw_against(figure.add_subplot(), sweep, axis)
-    return figure
-
-
 def _heat_map(sweep: FlownSweep, first: DrawnAxis, second: DrawnAxis) -> Any:
     met = sweep.table.flights.met
     shape = (len(second.labels), len(first.labels))
@@ -172,36 +166,37 @@ def _pairs(sweep: FlownSweep) -> list[tuple[DrawnAxis, DrawnAxis]]:
     return list(combinations(own, 2))[:_MOST_MAPS]
 
 
-def _histogram(axes: Any, values: Array, label: str, *, limit: float | None, name: str) -> None:
-    kept = values[np.isfinite(values)]
-    if len(kept):
-        axes.hist(kept, bins=_HISTOGRAM_BINS, color=COLOURS[0], alpha=0.8)
-    if limit is not None:
-        axes.axvline(limit, color=GOOD, linewidth=1.2)
-        axes.annotate(name, (limit, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9),
-                      textcoords="offset points", fontsize=7)  # fmt: skip
-    left_out = len(values) - len(kept)
-    axes.set_xlabel(
-        f"{label}; not shown: {left_out} without one" if left_out else label, fontsize=8
-    )
-    axes.grid(alpha=0.3, color=OBSTACLE)
-
-
 def _distributions(sweep: FlownSweep) -> Any:
     table, flights = sweep.table, sweep.table.flights
-    obstacles = bool(np.isfinite(flights.closest_obstacle_m).any())
-    figure = blank_figure((11.0 if obstacles else 8.0, 3.4))
-    panels: Sequence[Any] = figure.subplots(1, 3 if obstacles else 2)
-    share = table["settling_s"] / table["deadline_s"]
-    _histogram(panels[0], share, "settling time / deadline", limit=1.0, name="deadline")
-    panels[0].set_ylabel("UAVs", fontsize=8)
-    closest = flights.closest_uav_m
-    _histogram(panels[1], closest, "closest pair of UAVs [m]", limit=None, name="")
-    panels[1].set_ylabel("flights", fontsize=8)
-    if obstacles:
-        room = flights.closest_obstacle_m
-        _histogram(panels[2], room, "room to the closest obstacle [m]", limit=0.0, name="keep-out")
-        panels[2].set_ylabel("flights", fontsize=8)
+    panels: list[tuple[str, str, Array, float | None, str]] = [
+        (
+            "UAVs",
+            "settling time / deadline",
+            table["settling_s"] / table["deadline_s"],
+            1.0,
+            "deadline",
+        ),
+        ("flights", "closest pair of UAVs [m]", flights.closest_uav_m, None, ""),
+    ]
+    room = flights.closest_obstacle_m
+    if np.isfinite(room).any():
+        panels.append(("flights", "room to the closest obstacle [m]", room, 0.0, "keep-out"))
+    figure = blank_figure((11.0 if len(panels) > 2 else 8.0, 3.4))
+    for axes, (what, label, values, limit, name) in zip(
+        figure.subplots(1, len(panels)), panels, strict=True
+    ):
+        kept = values[np.isfinite(values)]
+        if len(kept):
+            axes.hist(kept, bins=_HISTOGRAM_BINS, color=COLOURS[0], alpha=0.8)
+        if limit is not None:
+            axes.axvline(limit, color=GOOD, linewidth=1.2)
+            axes.annotate(name, (limit, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9),
+                          textcoords="offset points", fontsize=7)  # fmt: skip
+        left_out = len(values) - len(kept)
+        shown = f"{label}; not shown: {left_out} without one" if left_out else label
+        axes.set_xlabel(shown, fontsize=8)
+        axes.set_ylabel(what, fontsize=8)
+        axes.grid(alpha=0.3, color=OBSTACLE)
     figure.suptitle(f"{sweep.plan.name}: {len(flights.draw)} flights", fontsize=9)
     return figure
 
@@ -227,7 +222,9 @@ def figures(sweep: FlownSweep) -> Iterator[SweepFigure]:
     """All figures of a sweep that has flights."""
     for number, axis in enumerate(drawn_axes(sweep), start=1):
         caption = f"Share of flights that met the deadline, against {axis.name}"
-        yield SweepFigure(f"success-{number}", caption, _against(sweep, axis))
+        figure = blank_figure(_SIZE_IN)
+        draw_against(figure.add_subplot(), sweep, axis)
+        yield SweepFigure(f"success-{number}", caption, figure)
     for number, (first, second) in enumerate(_pairs(sweep), start=1):
         caption = f"Flights met, against {first.name} and {second.name}"
         yield SweepFigure(f"map-{number}", caption, _heat_map(sweep, first, second))
@@ -273,15 +270,11 @@ def _picture(caption: str, path: Path) -> str:
     )
 
 
-def _write(path: Path, command: str, name: str, heading: str, line: str,
-           tables: Iterable[Table], more: str) -> Path:  # fmt: skip
+def _write(path: Path, more: str, tables: Iterable[Table], **words: str) -> Path:
     text = _PAGE.substitute(
-        command=command,
-        kicker=command.capitalize(),
-        name=escape(name),
-        heading=escape(heading),
+        {key: escape(value) for key, value in words.items()},
+        kicker=words["command"].capitalize(),
         style=asset("style.css"),
-        line=escape(line),
         tables="\n".join(html_table(table) for table in tables),
         more=more,
     )
@@ -303,11 +296,9 @@ def write_report(sweep: FlownSweep) -> Path:
         + "\n".join(pictures)
         + f"\n<details><summary>Plan</summary><pre>{escape(sweep.plan.to_json())}</pre></details>"
     )
+    words = {"command": "sweep", "name": sweep.plan.name, "heading": summary.title(sweep)}
     line = summary.line(sweep).plain
-    return _write(
-        folder / "index.html", "sweep", sweep.plan.name, summary.title(sweep), line,
-        summary.tables(sweep), more,
-    )  # fmt: skip
+    return _write(folder / "index.html", more, summary.tables(sweep), line=line, **words)
 
 
 def write_comparison(
@@ -322,12 +313,10 @@ def write_comparison(
         for number, (label, column) in enumerate(comparison.ERRORS):
             file = save(paired(label, column, *tables), Path(folder) / f"{number}.png")
             pictures.append(_picture(f"{label}, each draw in A and in B", file))
-    return _write(
-        path,
-        "compare",
-        " and ".join(names),
-        f"A is {names[0]}, B is {names[1]}. Draws are paired.",
-        comparison.line(found).plain,
-        comparison.tables(found),
-        "\n".join(pictures),
-    )
+    words = {
+        "command": "compare",
+        "name": " and ".join(names),
+        "line": comparison.line(found).plain,
+    }
+    heading = f"A is {names[0]}, B is {names[1]}. Draws are paired."
+    return _write(path, "\n".join(pictures), comparison.tables(found), heading=heading, **words)

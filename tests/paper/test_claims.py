@@ -16,7 +16,7 @@ from paper.figures.inputs import PAPER_LIMIT_N
 from paper.flights import fly_judged
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.world import World
-from ptnsbc_tools.sweeps.table import share
+from ptnsbc_tools.sweeps.summary import share
 
 SECONDS = 12.0
 

@@ -13,7 +13,7 @@ from paper.swept import SweepCase, swept_table
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
-from ptnsbc_tools.sweeps.table import share
+from ptnsbc_tools.sweeps.summary import share
 
 ENVELOPE = [envelope.case(axis, value) for axis in envelope.AXES for value in axis.values]
 ABLATIONS = [

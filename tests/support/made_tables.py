@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ptnsbc_sim.sweep.rows import SweepRow
-from ptnsbc_tools.sweeps.table import FlightTable, table_of
+from ptnsbc_tools.sweeps.summary import FlightTable, table_of
 
 ROW = SweepRow(
     draw=0, uav=1, slot=1, verdict="met", cause="", flight_verdict="met", deadline_s=5.0, start_error_m=1.0,

@@ -58,7 +58,7 @@ class Figures {
     cursor.hidden = true;
     plot.append(cursor);
     card.append(title, plot);
-    const shaded = [["band", chart.band && chart.bandLabel], ["span", chart.spans.length && chart.spansLabel]].filter(([, words]) => words);
+    const shaded = [["band", chart.band && chart.band_label], ["span", chart.spans.length && chart.spans_label]].filter(([, words]) => words);
     if (chart.note || shaded.length) {
       const note = document.createElement("p");
       note.className = "note";

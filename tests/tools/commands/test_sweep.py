@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from ptnsbc_sim.sweep import SweepError, runner
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.sweeps.table import read_sweep
+from ptnsbc_tools.sweeps.summary import read_sweep
 
 QUICK = ("--stop-after", 1.2, "--set", "gains.formation.deadline_s=0.8", "--workers", 1)
 SMALL = ("paper_5", "--runs", 4, "--starts", "near:0.2", *QUICK)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, FlightError, flight_in
 from ptnsbc_tools.library.optional import LibraryMissingError
 

@@ -13,7 +13,7 @@ import ptnsbc
 from ptnsbc_sim.scenario import scenario_from_text
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 from ptnsbc_sim.scenario.reading.reader import parse
-from ptnsbc_sim.sweep.family_draw import _places
+from ptnsbc_sim.sweep.family import _places
 from ptnsbc_sim.sweep.plan import SweepPlan, drawn_scenario
 from ptnsbc_tools.library.flying import check
 from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, text_of

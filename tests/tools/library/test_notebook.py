@@ -19,27 +19,27 @@ Fly = Callable[..., Recording]
 
 
 def test_every_type_that_is_shown_exists() -> None:
-    for module, name in notebook._SHOWN:
+    for module, name in notebook.SHOWN:
         assert isinstance(getattr(import_module(module), name), type)
 
 
 def test_a_flight_and_its_verdict_are_tables(fly: Fly) -> None:
     flight = Flight(fly({4: lambda t: 0.2 + 0 * t}, seconds=7.0))
-    assert "Verdict:" in notebook.of_flight(flight) and "<pre" in notebook.of_flight(flight)
-    assert "Separation" in notebook.of_verdict(flight.verdict)
+    assert "Verdict:" in notebook.html(flight) and "<pre" in notebook.html(flight)
+    assert "Separation" in notebook.html(flight.verdict)
 
 
 def test_a_flight_without_a_verdict_says_why(fly: Fly) -> None:
     recording = fly(seconds=7.0)
     del recording.odometry[3]
-    assert "no verdict: no message on /uav3/odom" in notebook.of_flight(Flight(recording))
+    assert "no verdict: no message on /uav3/odom" in notebook.html(Flight(recording))
 
 
 def test_text_from_outside_is_no_markup() -> None:
     scenario = load("paper_5").with_(description="<script>alert(1)</script>")
-    shown = notebook.of_scenario(scenario)
+    shown = notebook.html(scenario)
     assert "<script>" not in shown and "&lt;script&gt;" in shown
-    assert "Pre-flight check of paper_5" in notebook.of_check(check(scenario, dry_runs=0))
+    assert "Pre-flight check of paper_5" in notebook.html(check(scenario, dry_runs=0))
 
 
 def test_the_types_are_registered_once_there_is_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,4 +51,4 @@ def test_the_types_are_registered_once_there_is_a_notebook(monkeypatch: pytest.M
     assert seen == {}
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     notebook.register()
-    assert seen == notebook._SHOWN
+    assert seen == dict.fromkeys(notebook.SHOWN, notebook.html)

@@ -14,8 +14,9 @@ from chromium import chromium
 
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.verdict import Series
-from ptnsbc_tools.plotting.charts import read_view, view_of
-from ptnsbc_tools.reading.bag_reader import ReadOptions, StatusSeries, read_recording
+from ptnsbc_tools.library.flight import flight_in
+from ptnsbc_tools.plotting.charts import view_of
+from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording
 from ptnsbc_tools.report.page import page
 
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
@@ -34,7 +35,7 @@ STICK_OUT = """() => [...document.querySelectorAll('.live, .view, .chart, .trans
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     file = tmp_path_factory.mktemp("report") / "index.html"
-    file.write_text(page(read_view(SAMPLE, ReadOptions()), {}), encoding="utf-8")
+    file.write_text(page(flight_in(SAMPLE).view, {}), encoding="utf-8")
     return file.as_uri()
 
 
@@ -236,7 +237,7 @@ def test_what_is_printed_is_complete(tab: Any) -> None:
 
 @pytest.mark.slow
 def test_another_flight_is_overlaid(tab: Any, tmp_path: Path) -> None:
-    shown, other = (read_view(SAMPLE, ReadOptions()) for _ in range(2))
+    shown, other = (flight_in(SAMPLE).view for _ in range(2))
     file = tmp_path / "index.html"
     file.write_text(page(shown, {}, other), encoding="utf-8")
     opened = tab(file.as_uri()).ready()
@@ -294,7 +295,7 @@ def test_the_name_of_an_obstacle_at_the_edge_is_whole(tab: Any) -> None:
 
 @pytest.mark.slow
 def test_a_deadlock_stands_in_the_bar_of_time(tab: Any, tmp_path: Path) -> None:
-    view = read_view(SAMPLE, ReadOptions())
+    view = flight_in(SAMPLE).view
     track = view.recording.counters[3]
     values = track.rows(0, track.size).values.copy()
     values[:, COUNTERS.index("deadlock_s")] = np.clip(np.arange(len(values)) - 10.0, 0.0, 5.0)

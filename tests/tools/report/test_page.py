@@ -21,7 +21,7 @@ from ptnsbc_sim.scenario.constants import places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Series
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_tools.plotting.charts import view_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 from ptnsbc_tools.report.page import Pack, content, html_table, page

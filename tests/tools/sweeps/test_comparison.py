@@ -21,7 +21,7 @@ from ptnsbc_tools.sweeps.comparison import (
     same_draws,
     tables,
 )
-from ptnsbc_tools.sweeps.table import table_of
+from ptnsbc_tools.sweeps.summary import table_of
 
 BASE = load_scenario("paper_5")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ptnsbc_tools.sweeps.summary import read_sweep
 from ptnsbc_tools.sweeps.sweep_report import START_ERROR, drawn_axes, figures, grouped, write_report
-from ptnsbc_tools.sweeps.table import read_sweep
 
 
 def test_few_values_are_groups_of_their_own() -> None:
