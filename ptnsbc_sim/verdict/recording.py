@@ -16,9 +16,9 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS, counters_of, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
-from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.scenario.slots import Formations, Membership, changed, with_slots
 from ptnsbc_sim.verdict.track import Series, Track
 

@@ -25,7 +25,7 @@ from ptnsbc_core.types import FormationPlace, RecoveryConfig
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import recording_of
 
 KAPPA, DT = 2.2, 0.01
 CONFIG = RecoveryConfig(1.0, 6.0, 2.5)
