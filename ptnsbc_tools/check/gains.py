@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from ptnsbc_core.timebase import peak_gain
-from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.disturbances.build import position_noise_of
 from ptnsbc_sim.disturbances.position_noise import correction_std_m, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -25,10 +24,6 @@ _RARE = 1e-3  # share of flights that may miss for their positioning alone, with
 _RARE_SIGMAS = 4.0331  # a Maxwell variable is above it with this probability
 
 
-def _loop_rate(loop: LoopGain) -> float:
-    return loop.scale * (peak_gain(loop.duration_s, loop.residual) + loop.kappa)
-
-
 def steps(scenario: Scenario) -> Findings:
     """Control period times the largest gain of every loop."""
     gains = scenario.gains
@@ -36,12 +31,17 @@ def steps(scenario: Scenario) -> Findings:
     dt = 1.0 / scenario.timing.control_hz
     slide = gains.adaptation.cap_m_s2 / gains.boundary.velocity_m_s
     turn = gains.adaptation.cap_rad_s2 / gains.boundary.rate_rad_s
+    loops = {
+        "gains.formation": (config.formation, 0.0),
+        "gains.attitude": (config.attitude, 0.0),
+        "gains.clearance": (config.clearance.gain, 0.0),
+        "gains.force": (config.controller.force, slide),
+        "gains.torque": (config.controller.torque, turn),
+    }
     rates = {
-        "gains.formation": _loop_rate(config.formation),
-        "gains.attitude": _loop_rate(config.attitude),
-        "gains.clearance": _loop_rate(config.clearance.gain),
-        "gains.force": _loop_rate(config.controller.force) + slide,
-        "gains.torque": _loop_rate(config.controller.torque) + turn,
+        key: loop.scale * (peak_gain(loop.duration_s, loop.residual) + loop.kappa) + more
+        for key, (loop, more) in loops.items()
+    } | {
         "gains.filter.bandwidth_1_s": gains.filter.bandwidth_1_s,
         "gains.filter.rate_bandwidth_1_s": gains.filter.rate_bandwidth_1_s,
     }
@@ -64,15 +64,12 @@ def order(scenario: Scenario) -> Findings:
     """Deadlines of the inner loops, which must end before the deadline of the formation."""
     gains = scenario.gains
     outer = gains.formation.deadline_s
-    for key, inner in (
-        ("gains.estimator.deadline_s", gains.estimator.deadline_s),
-        ("gains.force.deadline_s", gains.force.deadline_s),
-        ("gains.torque.deadline_s", gains.torque.deadline_s),
-    ):
+    for key in ("estimator", "force", "torque"):
+        inner = getattr(gains, key).deadline_s
         if inner >= outer:
             yield Finding(
                 WARNING,
-                key,
+                f"gains.{key}.deadline_s",
                 f"{inner:g} s",
                 f"< gains.formation.deadline_s, {outer:g} s",
                 "an inner loop has to be done before the formation is; shorten it",

@@ -107,36 +107,32 @@ def spacing(scenario: Scenario) -> Findings:
         "uavs position_m": {uav: scenario.uav(uav).position for uav in scenario.uav_ids},
     }
     for key, where in positions.items():
-        distances = {
-            (a, b): float(np.linalg.norm(where[a] - where[b]))
+        pairs = [
+            (
+                a,
+                b,
+                float(np.linalg.norm(where[a] - where[b])),
+                scenario.keep_out_between(a, b) + margin,
+            )
             for a, b in combinations(scenario.uav_ids, 2)
-        }
-        least = {pair: scenario.keep_out_between(*pair) + margin for pair in distances}
-        near = {pair: d for pair, d in distances.items() if d < least[pair]}
-        closest = min(distances, key=lambda pair: distances[pair] - least[pair], default=None)
-        for (a, b), distance in (
-            near or ({closest: distances[closest]} if closest else {})
-        ).items():
+        ]
+        near = [pair for pair in pairs if pair[2] < pair[3]]
+        closest = sorted(pairs, key=lambda pair: pair[2] - pair[3])[:1]
+        for a, b, distance, least in near or closest:
             yield Finding(
                 ERROR if near else INFO,
                 key,
                 f"UAV {a} and UAV {b} {distance:.2f} m apart",
-                f">= {least[a, b]:g} m",
+                f">= {least:g} m",
                 "move them apart, or lower formation.uav_keep_out_m" if near else "",
             )
-
-
-def _what_moves(scenario: Scenario) -> str:
-    """The key that moves the shape."""
-    if not scenario.formation.changes:
-        return "formation.frame"
-    return "formation.changes" if scenario.mission is None else "mission.legs"
 
 
 def moving_spacing(scenario: Scenario) -> Findings:
     """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
     if not scenario.formation.moves or len(scenario.uav_ids) < 2:
         return
+    key = "formation.changes" if scenario.mission is None else "mission.legs"
     margin = scenario.gains.clearance.margin_m
     scenario = with_slots_of_starts(scenario)
     times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
@@ -151,7 +147,7 @@ def moving_spacing(scenario: Scenario) -> Findings:
     least = float(gaps[a, b][first])
     yield Finding(
         ERROR if least < keep_out else INFO,
-        _what_moves(scenario),
+        key if scenario.formation.changes else "formation.frame",
         f"the places of UAV {a} and UAV {b} come as close as {least:.2f} m at t = {times[first]:.1f} s",
         f">= {keep_out:g} m",
         "widen the shapes, or go through another one" if least < keep_out else "",
@@ -213,10 +209,7 @@ def encounters(scenario: Scenario) -> Findings:
 
 
 def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: float) -> Findings:
-    """The speed of a UAV towards an obstacle, against what it can stop from within the range of the sensor.
-
-    Until it brakes it flies on for its lag and one period of the sensor, as it did before.
-    """
+    """The speed of a UAV towards an obstacle, against what it can stop from within the range of the sensor."""
     config = agent_config(scenario, uav).clearance
     late, braking = config.lag_s + config.sensor_s, config.deceleration
     room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
@@ -297,25 +290,26 @@ def slots(scenario: Scenario) -> Findings:
     held = with_slots_of_starts(scenario)
     pairs = list(combinations(scenario.uav_ids, 2))
     start = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
-    first = {(a, b): start[a] - start[b] for a, b in pairs}
-    last = {(a, b): held.offset(a) - held.offset(b) for a, b in pairs}
-    ends = [min(float(np.linalg.norm(one)) for one in end.values()) for end in (first, last)]
-    needed = math.sqrt(2.0) * scenario.widest_keep_out_m
+    first = [start[a] - start[b] for a, b in pairs]
+    last = [held.offset(a) - held.offset(b) for a, b in pairs]
+    ends = [min(float(np.linalg.norm(apart)) for apart in end) for end in (first, last)]
+    keep_out_m = scenario.widest_keep_out_m
+    needed = math.sqrt(2.0) * keep_out_m
     yield Finding(
         INFO if min(ends) >= needed else WARNING,
         "formation.assignment",
         f"starts {ends[0]:.2f} m apart or more, slots {ends[1]:.2f} m",
-        f">= {needed:.2f} m, which keeps all paths {scenario.widest_keep_out_m:g} m apart",
+        f">= {needed:.2f} m, which keeps all paths {keep_out_m:g} m apart",
         "" if min(ends) >= needed else "start farther apart, or widen the formation",
     )
-    paths = {pair: least_distance(first[pair], last[pair]) for pair in pairs}
-    a, b = min(pairs, key=lambda pair: paths[pair])
-    near = paths[a, b] < scenario.widest_keep_out_m
+    gaps = [least_distance(*ways) for ways in zip(first, last, strict=True)]
+    least, (a, b) = min(zip(gaps, pairs, strict=True))
+    near = least < keep_out_m
     yield Finding(
         WARNING if near else INFO,
         "formation.assignment",
-        f"UAV {a} and UAV {b} come as close as {paths[a, b]:.2f} m on their ways",
-        f">= {scenario.widest_keep_out_m:g} m",
+        f"UAV {a} and UAV {b} come as close as {least:.2f} m on their ways",
+        f">= {keep_out_m:g} m",
         "start farther apart, or widen the formation" if near else "",
     )
     if scenario.formation.approach == "task":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader, recovery_config
 from ptnsbc_sim.scenario.mavlink import Geofence
-from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, PROCESS, FaultBlock, modelled
+from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, PROCESS, modelled
 from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, TakeOffLeg, Word, leg_names
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
@@ -51,8 +52,10 @@ def legs(scenario: Scenario) -> Findings:
 
 def words(scenario: Scenario) -> Findings:
     """The legs that wait for a word, as they are flown when each word is said as soon as the last leg is done."""
-    said = _said(scenario)
-    mission, first = said.mission, len(scenario.legs)
+    mission, first, said = scenario.mission, len(scenario.legs), scenario
+    while mission is not None and said.legs[-1].number < len(mission.legs):
+        last = said.legs[-1]  # the next word is said when it is done
+        said = said.with_words((*said.words, Word(last.number + 1, last.end_s)))
     if mission is None or first == len(said.legs):
         return
     yield Finding(
@@ -69,15 +72,6 @@ def words(scenario: Scenario) -> Findings:
             if finding not in known and (one is legs or finding.severity != INFO):
                 severity = INFO if finding.severity == INFO else WARNING
                 yield replace(finding, severity=severity, value=f"said at once, {finding.value}")
-
-
-def _said(scenario: Scenario) -> Scenario:
-    """The scenario after a word for each leg that waits for one, when the last leg is done."""
-    mission = scenario.mission
-    while mission is not None and scenario.legs[-1].number < len(mission.legs):
-        last = scenario.legs[-1]
-        scenario = scenario.with_words((*scenario.words, Word(last.number + 1, last.end_s)))
-    return scenario
 
 
 _KEY = "leader.trajectory"
@@ -139,28 +133,21 @@ def _outside(places: Array, fence: Geofence) -> Array:
     return far
 
 
-def _path(scenario: Scenario, times: Array) -> Array:
-    """Positions (T, 3) of the leader [m]; the corners (8, 3) of the region if setpoints come from a topic."""
-    path = scenario.leader.trajectory
-    if isinstance(path, SetpointTrajectory) and scenario.takes_setpoints:
-        corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))
-        return np.array(list(corners), dtype=np.float64)
-    return reference_positions(leader_trajectory(scenario), times)
-
-
-def _up_s(scenario: Scenario) -> float:
-    """The time [s] from which every UAV is off the ground: the end of the take-off of a mission."""
-    legs = scenario.legs
-    return legs[0].due_s if legs and isinstance(legs[0].leg, TakeOffLeg) else 0.0
-
-
 def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
-    times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
-    path = _path(scenario, times)
-    times = times[: len(path)]
+    times, block = (
+        np.linspace(0.0, scenario.timing.duration_s, _SAMPLES),
+        scenario.leader.trajectory,
+    )
+    if isinstance(block, SetpointTrajectory) and scenario.takes_setpoints:
+        corners = itertools.product(*zip(block.low_m, block.high_m, strict=True))
+        path = np.array(list(corners), dtype=np.float64)  # (8, 3) of the region
+    else:
+        path = reference_positions(leader_trajectory(scenario), times)
+    times, legs = times[: len(path)], scenario.legs
+    up_s = legs[0].due_s if legs and isinstance(legs[0].leg, TakeOffLeg) else 0.0
     places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
-    up = times >= _up_s(scenario)
+    up = times >= up_s
     heights = {uav: float(at[up, 2].min(initial=np.inf)) for uav, at in places.items()}
     lowest = min(heights, key=lambda uav: heights[uav])
     height = heights[lowest]
@@ -211,10 +198,8 @@ def _times(scenario: Scenario) -> Findings:
     """The times of the UAVs against the length of the flight."""
     end_s = scenario.timing.duration_s
     for index, uav in enumerate(scenario.uavs):
-        for key, at_s, verb in (
-            ("joins_s", uav.joins_s, "joins"),
-            ("leaves_s", uav.leaves_s, "leaves"),
-        ):
+        for verb in ("joins", "leaves"):
+            key, at_s = f"{verb}_s", getattr(uav, f"{verb}_s")
             if at_s is not None and at_s >= end_s:
                 yield Finding(
                     WARNING,
@@ -234,10 +219,7 @@ def _joined(scenario: Scenario, index: int, joins_s: float) -> Finding:
     place = leader + places_beside_leader(scenario, uav, np.array([joins_s]))[0]
     away_m = float(np.linalg.norm(place - scenario.uav(uav).position))
     needed_s = joins_s + recovery_duration(away_m, recovery_config(scenario, uav))
-    leaves_s = scenario.uavs[index].leaves_s
-    until_s = min(
-        scenario.timing.duration_s, scenario.timing.duration_s if leaves_s is None else leaves_s
-    )
+    until_s = min(scenario.timing.duration_s, scenario.uavs[index].leaves_s or math.inf)
     late = needed_s > until_s
     return Finding(
         WARNING if late else INFO,
@@ -253,7 +235,9 @@ def _lead(scenario: Scenario) -> Findings:
     formations, line = Formations(scenario), scenario.leader.successors
     free_s = None  # from when the first leader is away
     away: set[int] = set()
-    for at_s in _changes_s(scenario):
+    spans = (span for uav in scenario.uav_ids for span in _gone_ns(scenario, uav, killed=True))
+    changes_s = {at_ns * 1e-9 for span in spans for at_ns in span}
+    for at_s in sorted(at for at in changes_s if 0.0 <= at < scenario.timing.duration_s):
         absent = _absent(scenario, at_s, killed=True)
         away |= absent
         leader_away = scenario.leader.id in absent
@@ -284,13 +268,6 @@ def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: se
                 "a UAV that is there from the begin on until then",
                 "name another one, or let it stay",
             )
-
-
-def _changes_s(scenario: Scenario) -> list[float]:
-    """The times within the flight at which somebody comes or goes."""
-    spans = [span for uav in scenario.uav_ids for span in _gone_ns(scenario, uav, killed=True)]
-    found = {at_ns * 1e-9 for span in spans for at_ns in span}
-    return sorted(at_s for at_s in found if 0.0 <= at_s < scenario.timing.duration_s)
 
 
 def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
@@ -325,10 +302,5 @@ def faults(scenario: Scenario) -> Findings:
                 f"< timing.duration_s, {scenario.timing.duration_s:g} s",
                 "it never begins: lower at_s, or fly longer",
             )
-        elif where := _where(scenario, fault):
-            yield Finding(INFO, key, fault.text, "every flight injects it", where)
-
-
-def _where(scenario: Scenario, fault: FaultBlock) -> str:
-    """The place of a fault; empty when it is injected everywhere."""
-    return "" if fault in modelled(scenario.faults) else "only in real time"
+        elif fault not in modelled(scenario.faults):
+            yield Finding(INFO, key, fault.text, "every flight injects it", "only in real time")

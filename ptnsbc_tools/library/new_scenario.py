@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,6 @@ _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
 
 class NewScenarioError(PtnsbcError):
     """A scenario that cannot be made."""
-
-
-def _vector(place: Iterable[float]) -> str:
-    return f"[{', '.join(f'{number:g}' for number in place)}]"
 
 
 def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> str:
@@ -50,8 +45,8 @@ def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> 
         radius=f"{_RADIUS_M:g}",
         other_tasks=", ".join(task for task in TASKS if task != "relative_position"),
         starts="\n".join(
-            f"  - {{id: {uav}, position_m: {_vector(start)}}}"
-            for uav, start in enumerate(starts.tolist(), 1)
+            f"  - {{id: {uav}, position_m: [{x:g}, {y:g}, {z:g}]}}"
+            for uav, (x, y, z) in enumerate(starts.tolist(), 1)
         ),
     )
 
