@@ -19,7 +19,7 @@ from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.transport import Packet
+from ptnsbc_io.mavlink.transport import Packet, Transport
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_sim.scenario import agent_config, scenario_from_text
 from ptnsbc_sim.verdict import verdict_on
@@ -191,24 +191,18 @@ class Wire:
                 decode(data)
 
 
-class _Wires:
+class _Wires(Transport):
     """A transport that delivers what it is given."""
 
     def __init__(self, data: bytes, stream: bool) -> None:
         self.stream = stream
         self._left = [Packet(data, ("127.0.0.1", 1))]
 
-    def fileno(self) -> int:
-        return -1
-
     def receive(self) -> Packet | None:
         return self._left.pop() if self._left else None
 
     def send(self, data: bytes, address: object) -> bool:
         return bool(data and address)
-
-    def close(self) -> None:
-        pass
 
 
 class Packets:

@@ -78,6 +78,31 @@ def _csv(data: bytes) -> Array:
     raise PointCloudFileError("expected rows of numbers x, y, z, with commas between them")
 
 
+def _rows(data: bytes, columns: list[int], count: int, *, more: bool) -> Array:
+    """Three columns of `count` rows of text; with `more` something else may follow them."""
+    try:
+        most = count if more else None
+        rows = (
+            np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2, max_rows=most)
+            if data.strip()
+            else ()
+        )
+    except ValueError:
+        raise PointCloudFileError("expected a row of numbers for each point") from None
+    if len(rows) != count:
+        raise PointCloudFileError(f"{len(rows)} points: expected {count}, as the header says")
+    return np.asarray(rows, dtype=np.float64)
+
+
+def _records(data: bytes, record: np.dtype[np.void], count: int) -> Array:
+    """The fields x, y and z of `count` records."""
+    size = count * record.itemsize
+    if not 0 < size <= len(data):
+        raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
+    rows = np.frombuffer(data, record, count)
+    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
+
+
 def _ply(data: bytes) -> Array:
     """The properties x, y and z of the vertices of a PLY file.
 
@@ -88,23 +113,15 @@ def _ply(data: bytes) -> Array:
     if not data.startswith(b"ply") or end < 0 or first <= 0:
         raise PointCloudFileError("expected the header of a PLY file, with a line end_header")
     lines = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
-    order, (count, columns) = _order(lines), _vertices(lines)
-    if not order:
-        return _ply_ascii(data[first:], count, [name for name, _ in columns])
-    record = np.dtype([(name, order + kind) for name, kind in columns])
-    size = count * record.itemsize
-    if size > len(data) - first:
-        raise PointCloudFileError(f"expected {size} bytes of vertices, found {len(data) - first}")
-    found = np.frombuffer(data, record, count, first)
-    return np.stack([found[axis].astype(np.float64) for axis in "xyz"], axis=1)
-
-
-def _order(lines: list[list[str]]) -> str:
-    """The byte order of NumPy; empty for text."""
-    given = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
-    if given not in _ORDERS:
-        raise PointCloudFileError(f"format {given[:40]}: expected {', '.join(_ORDERS)}")
-    return _ORDERS[given]
+    form = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
+    if form not in _ORDERS:
+        raise PointCloudFileError(f"format {form[:40]}: expected {', '.join(_ORDERS)}")
+    count, columns = _vertices(lines)
+    if not _ORDERS[form]:
+        names = [name for name, _ in columns]
+        return _rows(data[first:], [names.index(axis) for axis in "xyz"], count, more=True)
+    record = np.dtype([(name, _ORDERS[form] + kind) for name, kind in columns])
+    return _records(data[first:], record, count)
 
 
 def _vertices(lines: list[list[str]]) -> tuple[int, list[tuple[str, str]]]:
@@ -130,17 +147,6 @@ def _vertices(lines: list[list[str]]) -> tuple[int, list[tuple[str, str]]]:
     return int(first[2]), columns
 
 
-def _ply_ascii(data: bytes, count: int, names: list[str]) -> Array:
-    try:
-        columns = [names.index(axis) for axis in "xyz"]
-        found = np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2, max_rows=count)
-    except ValueError:
-        raise PointCloudFileError("expected a row of numbers for each vertex") from None
-    if len(found) != count:
-        raise PointCloudFileError(f"{len(found)} vertices: expected {count}, as the header says")
-    return np.asarray(found, dtype=np.float64)
-
-
 def _npy(data: bytes) -> Array:
     try:
         found = np.load(io.BytesIO(data), allow_pickle=False)
@@ -159,29 +165,23 @@ def _pcd(data: bytes) -> Array:
     after = data.find(b"\n", end + 1)
     if end < 0 or after < 0:
         raise PointCloudFileError("expected the header of a PCD file, with a line DATA")
-    header = _header(data[:after].decode("ascii", "replace"))
-    points, kind = _numbers(header, "POINTS")[0], header["DATA"][0]
-    record = _record(header)
-    if kind == "ascii":
-        return _ascii(data[after + 1 :], record, points)
-    if kind != "binary":
-        raise PointCloudFileError(
-            f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
-        )
-    size = points * record.itemsize
-    if not 0 < size <= len(data) - after - 1:
-        raise PointCloudFileError(f"expected {size} bytes of points, found {len(data) - after - 1}")
-    rows = np.frombuffer(data, record, points, after + 1)
-    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
-
-
-def _header(text: str) -> dict[str, list[str]]:
-    lines = [line.split() for line in text.splitlines()]
+    lines = [line.split() for line in data[:after].decode("ascii", "replace").splitlines()]
     header = {words[0]: words[1:] for words in lines if words and not words[0].startswith("#")}
     for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
         if not header.get(key):
             raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
-    return header
+    points, kind, record = _numbers(header, "POINTS")[0], header["DATA"][0], _record(header)
+    if kind == "binary":
+        return _records(data[after + 1 :], record, points)
+    if kind != "ascii":
+        raise PointCloudFileError(
+            f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
+        )
+    # The words of a row before an axis: one for each number of the fields before it.
+    words = {name: int(np.prod(record[name].shape)) for name in record.names or ()}
+    names = list(words)
+    columns = [sum(words[name] for name in names[: names.index(axis)]) for axis in "xyz"]
+    return _rows(data[after + 1 :], columns, points, more=False)
 
 
 def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
@@ -217,21 +217,3 @@ def _record(header: dict[str, list[str]]) -> np.dtype[np.void]:
     if missing:
         raise PointCloudFileError(f"no field {min(missing)}: expected fields x, y and z")
     return np.dtype(fields)
-
-
-def _ascii(data: bytes, record: np.dtype[np.void], points: int) -> Array:
-    first: dict[str, int] = {}
-    column = 0
-    for name in record.names or ():
-        first[name] = column
-        column += int(np.prod(record[name].shape))
-    columns = [first[axis] for axis in "xyz"]
-    if not data.strip():
-        raise PointCloudFileError(f"no points: expected {points}, as POINTS says")
-    try:
-        rows = np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2)
-    except ValueError:
-        raise PointCloudFileError("expected a row of numbers for each point") from None
-    if len(rows) != points:
-        raise PointCloudFileError(f"{len(rows)} points: expected {points}, as POINTS says")
-    return np.asarray(rows, dtype=np.float64)

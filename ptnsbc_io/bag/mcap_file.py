@@ -135,29 +135,24 @@ class Unpacker:
                 f"a chunk that unpacks to {size} bytes: expected {LARGEST_CHUNK} at most"
             )
         self._left -= size
-        return _decompressed(chunk)
+        if chunk.compression == "zstd":
+            if zstandard.frame_content_size(chunk.data) not in (-1, size):
+                raise ValueError("size in a compressed frame")
+            data = bytes(zstandard.decompress(chunk.data, size))
+        elif chunk.compression == "lz4":
+            import lz4.frame
 
-
-def _decompressed(chunk: Chunk) -> bytes:
-    size = chunk.uncompressed_size
-    if chunk.compression == "zstd":
-        if zstandard.frame_content_size(chunk.data) not in (-1, size):
-            raise ValueError("size in a compressed frame")
-        data = bytes(zstandard.decompress(chunk.data, size))
-    elif chunk.compression == "lz4":
-        import lz4.frame
-
-        # One byte more than stated is enough to see that the statement is wrong.
-        data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1))
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
-        raise ValueError(f"compression {chunk.compression!r}")
-    if len(data) != size:
-        raise ValueError("size of a chunk")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("checksum of a chunk")
-    return data
+            # One byte more than stated is enough to see that the statement is wrong.
+            data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1))
+        elif chunk.compression == "":
+            data = chunk.data
+        else:
+            raise ValueError(f"compression {chunk.compression!r}")
+        if len(data) != size:
+            raise ValueError("size of a chunk")
+        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+            raise ValueError("checksum of a chunk")
+        return data
 
 
 def chunk_records(
@@ -204,19 +199,13 @@ def _record_end(data: bytes, at: int) -> int:
 def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
     """All readable records except indexes, in the order of the file.
 
-    A damaged chunk is left out. Behind a damaged length the walk goes on at the next bytes that look
-    like a chunk.
-
-    Args:
-        stream: an MCAP file whose magic bytes have been checked.
-        damage: filled in on the way.
+    A damaged chunk is left out and counted in `damage`. Behind a damaged length the walk goes on at the next bytes that
+    look like a chunk. The magic bytes of the file have been checked.
     """
     size = stream.seek(0, 2)
     unpacker, spare = Unpacker(size), _DAMAGE_RATIO * size
     offset = len(MAGIC)
-    following: int | None = (
-        offset  # the first chunk that a search found; None: there is no further one
-    )
+    following: int | None = offset  # the first chunk that a search found; None: there is none
     while True:
         stream.seek(offset)
         head = stream.read(RECORD_HEAD.size)
@@ -227,7 +216,7 @@ def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
         if opcode == Opcode.FOOTER:
             return
         end = offset + RECORD_HEAD.size + length
-        known = _is_known(opcode)
+        known = 0 < opcode <= Opcode.DATA_END or opcode >= 0x80  # MCAP's, or left to others
         records = _read_records(stream, opcode, length, unpacker) if known and end <= size else None
         if records is not None:
             yield from records
@@ -242,11 +231,6 @@ def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
             damage.cut = True
             return
         offset = end if following is None else following
-
-
-def _is_known(opcode: int) -> bool:
-    """True if MCAP has such a record, or leaves it to others."""
-    return 0 < opcode <= Opcode.DATA_END or opcode >= 0x80
 
 
 def _read_records(
@@ -312,9 +296,7 @@ class Contents:
     attachments: list[str] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name of the record
     span_ns: tuple[int, int] | None = None  # log time; None without messages
-    chunks: list[ChunkLocation] = field(
-        default_factory=list
-    )  # empty: read in the order of the file
+    chunks: list[ChunkLocation] = field(default_factory=list)  # empty: read in file order
     damage: Damage = field(default_factory=Damage)
 
     def add(self, record: object) -> None:

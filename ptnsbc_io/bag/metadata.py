@@ -207,12 +207,7 @@ def declare(topic: TopicInfo) -> TopicDeclaration:
 def bag_information(
     files: Sequence[FileSummary], topics: Iterable[tuple[TopicDeclaration, int]]
 ) -> dict[str, Any]:
-    """The value of `rosbag2_bagfile_information`.
-
-    Args:
-        files: the files of the bag.
-        topics: each topic and the number of its messages.
-    """
+    """The value of `rosbag2_bagfile_information` of a bag's files, and of its topics with their numbers of messages."""
     spans = [(file.start_ns, file.end_ns) for file in files if file.messages]
     start_ns = min((start for start, _ in spans), default=0)
     end_ns = max((end for _, end in spans), default=0)

@@ -82,10 +82,7 @@ class Bag:
 def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
     """Open a bag: its folder, or an .mcap file itself.
 
-    Args:
-        path: Folder or file.
-        salvage: Accept a bag that lacks its end (a killed recording) or is damaged, and read
-            around that.
+    With `salvage` it may lack its end (a killed recording) or be damaged, and is read around that.
 
     Raises:
         BagError: The path is missing, is no MCAP file, is cut, is damaged or holds no message.

@@ -28,11 +28,8 @@ class ReorderBuffer:
     """Sorts messages by (stamp, topic, arrival in that topic) over a window of `hold_ticks` stamps.
 
     The window counts stamps that occur. So the length of a tick need not be known, and a stamp far
-    ahead (an epoch announced in advance) releases no other message.
-
-    Args:
-        shared: Topics with several publishers; the order of arrival within them is random too.
-        hold_ticks: Length of the window.
+    ahead (an epoch announced in advance) releases no other message. Within `shared` topics, which have several
+    publishers, the order of arrival is random too.
     """
 
     def __init__(self, shared: frozenset[str] = frozenset(), hold_ticks: int = HOLD_TICKS) -> None:
@@ -43,9 +40,7 @@ class ReorderBuffer:
         self._arrivals: dict[str, int] = {}
         self.complete_ns = _NO_LIMIT  # up to this stamp everything has arrived
         self._released_ns = -1
-        self.late = (
-            0  # messages that came after their stamp was released: the order is not reproducible
-        )
+        self.late = 0  # messages that came after their stamp was released: in chance order
 
     def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[PendingMessage]:
         """Add a message; returns the messages that are released now."""

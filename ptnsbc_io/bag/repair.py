@@ -37,13 +37,6 @@ class Repaired(NamedTuple):
     last_ns: int  # log time of the newest message [ns]
 
 
-class _Paths(NamedTuple):
-    source: Path
-    target: Path
-    moved: Path | None  # where the source goes when the target takes its name
-    temporary: Path  # where the repaired bag is written
-
-
 def repair(
     path: Path,
     target: Path | None = None,
@@ -62,39 +55,6 @@ def repair(
     Raises:
         BagError: no message is readable, or a path exists that the repair needs.
     """
-    paths = _find_paths(path, target)
-    files = mcap_files(paths.source)
-    contents = [_read_contents(file) for file in files]
-    total = sum(sum(one.counts.values()) for one in contents)
-    if total == 0:
-        raise BagError(f"{paths.source}: no message can be read: there is nothing to rescue")
-    writer = _writer(paths, files, contents)
-    damage = Damage()
-    done = last_ns = 0
-    try:
-        with writer:
-            for file, content in zip(files, contents, strict=True):
-                writer.split()
-                with mcap_file.open_mcap(file) as stream:
-                    for record in walk(stream, damage):
-                        if not isinstance(record, MessageRecord):
-                            continue
-                        if record.channel_id not in content.channels:
-                            continue
-                        topic, log_ns = content.channels[record.channel_id].topic, record.log_ns
-                        writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
-                        done, last_ns = done + 1, max(last_ns, log_ns)
-                        if done % _PROGRESS_EVERY == 0 or done == total:
-                            advance(done, total)
-        original = _rename(paths, discard)
-    except BaseException:
-        for leftover in _temporaries(paths.temporary):
-            shutil.rmtree(leftover, ignore_errors=True)
-        raise
-    return Repaired(paths.target, original, total, damage.chunks, damage.cut, last_ns)
-
-
-def _find_paths(path: Path, target: Path | None) -> _Paths:
     path = Path(os.path.abspath(path))
     part = path.with_name(path.name + _PART)
     source = part if not path.exists() and part.exists() else path
@@ -104,33 +64,57 @@ def _find_paths(path: Path, target: Path | None) -> _Paths:
         name = source.name.removesuffix(_PART)
         target = source.with_name(name if source.is_dir() else f"{source.stem}.repaired")
     target = Path(os.path.abspath(target))
+    # Where the source goes when the target takes its name.
     moved = source.with_name(source.name + _ORIGINAL) if target == source else None
-    occupied = moved or target
-    if occupied.exists():
-        raise BagError(f"{occupied} exists: move it away, or choose another place with --output")
+    if (moved or target).exists():
+        raise BagError(
+            f"{moved or target} exists: move it away, or choose another place with --output"
+        )
     temporary = target.with_name(target.name + _REPAIRING)
-    for leftover in _temporaries(temporary):
+    temporaries = (temporary, temporary.with_name(temporary.name + _PART))
+    for leftover in temporaries:
         if leftover.exists():
             raise BagError(f"{leftover} exists, of a repair that was interrupted: remove it first")
-    return _Paths(source, target, moved, temporary)
+    files = mcap_files(source)
+    contents = [_read_contents(file) for file in files]
+    total = sum(sum(one.counts.values()) for one in contents)
+    if total == 0:
+        raise BagError(f"{source}: no message can be read: there is nothing to rescue")
+    writer = _writer(temporary, files, contents)
+    writer.name = target.name
+    damage = Damage()
+    done = last_ns = 0
+    try:
+        with writer:
+            for log_ns in _copy(writer, files, contents, damage):
+                done, last_ns = done + 1, max(last_ns, log_ns)
+                if done % _PROGRESS_EVERY == 0 or done == total:
+                    advance(done, total)
+        original: Path | None = source if moved is None else source.rename(moved)
+        temporary.rename(target)
+        if discard and original is not None:
+            shutil.rmtree(original) if original.is_dir() else original.unlink()
+            original = None
+    except BaseException:
+        for leftover in temporaries:
+            shutil.rmtree(leftover, ignore_errors=True)
+        raise
+    return Repaired(target, original, total, damage.chunks, damage.cut, last_ns)
 
 
-def _temporaries(temporary: Path) -> tuple[Path, Path]:
-    return temporary, temporary.with_name(temporary.name + _PART)
-
-
-def _rename(paths: _Paths, discard: bool) -> Path | None:
-    original = paths.source
-    if paths.moved is not None:
-        original = paths.source.rename(paths.moved)
-    paths.temporary.rename(paths.target)
-    if not discard:
-        return original
-    if original.is_dir():
-        shutil.rmtree(original)
-    else:
-        original.unlink()
-    return None
+def _copy(
+    writer: BagWriter, files: list[Path], found: list[Contents], damage: Damage
+) -> Iterator[int]:
+    """Write every readable message; yields the log time of each."""
+    for file, contents in zip(files, found, strict=True):
+        writer.split()
+        topics = {number: channel.topic for number, channel in contents.channels.items()}
+        with mcap_file.open_mcap(file) as stream:
+            for record in walk(stream, damage):
+                if isinstance(record, MessageRecord) and record.channel_id in topics:
+                    topic, log_ns = topics[record.channel_id], record.log_ns
+                    writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
+                    yield log_ns
 
 
 def _read_contents(file: Path) -> Contents:
@@ -147,7 +131,7 @@ def _read_contents(file: Path) -> Contents:
     return found
 
 
-def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWriter:
+def _writer(folder: Path, files: list[Path], found: list[Contents]) -> BagWriter:
     topics = _topics(found)
     records: dict[str, Mapping[str, str]] = {}
     for contents in found:
@@ -161,8 +145,7 @@ def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWrite
     attachments = {
         record.name: bytes(record.data) for file in files for record in mcap_file.attachments(file)
     }
-    writer = BagWriter(paths.temporary, topics, attachments=attachments)
-    writer.name = paths.target.name
+    writer = BagWriter(folder, topics, attachments=attachments)
     writer.records.update(records)
     return writer
 
@@ -213,12 +196,9 @@ def trim(
     overwrite: bool = False,
     advance: Progress = lambda done, total: None,
 ) -> int:
-    """Write the messages from `begin_ns` to `end_ns` (log time, both included) into a new bag.
+    """Write the messages from `begin_ns` to `end_ns` (log time, both included) into a new bag; returns their number.
 
     Messages of latched topics from before `begin_ns`, such as epochs, are kept with their times: they hold on.
-
-    Returns:
-        The number of messages written.
 
     Raises:
         BagError: no bag, or no message in this span.

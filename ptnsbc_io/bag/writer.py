@@ -15,7 +15,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import IO, Any, NamedTuple
 
 from mcap.writer import CompressionType, Writer
@@ -74,12 +74,7 @@ def check_replaceable(directory: Path, *, overwrite: bool) -> None:
 class McapFileWriter:
     """One MCAP file while it is written; it is complete in itself, also as a part of a split bag.
 
-    Args:
-        path: File to create.
-        topics: Every topic that will be written.
-        attachments: Files to carry inside, by name.
-        metadata: Metadata records by name.
-        compression: Of the chunks.
+    Its arguments are those of the bag, with all metadata records by name.
     """
 
     def __init__(
@@ -167,9 +162,6 @@ class _WriteGuard:
     on. Under full load that happened with a quarter of all Ctrl-C. The guard acts only where Python's default handler
     would: in the main thread, when the program has no handler of its own, and without rclpy, whose handler in C must
     stay in place.
-
-    Args:
-        part: the folder that is written, for the error.
     """
 
     def __init__(self, part: Path) -> None:
@@ -193,12 +185,7 @@ class _WriteGuard:
     def __enter__(self) -> None:
         self._busy = True
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         self._busy = False
         if self._pending:
             self._pending = False
@@ -251,14 +238,13 @@ class BagWriter:
             METADATA_RECORD: dict(sorted((metadata or {}).items()))
         }
         self._part = self.directory.with_name(self.directory.name + ".part")
-        self._requested = tuple(topics)
-        self._topics: tuple[TopicDeclaration, ...] = ()
+        self._topics = [t if isinstance(t, TopicDeclaration) else declare(t) for t in topics]
         self._attachments = dict(attachments or {})
         self._compression = compression
         self._overwrite = overwrite
         self._limits = limits
-        self._numbers: dict[str, int] = {}  # of the topics
-        self._counts: list[int] = []  # messages of each topic
+        self._numbers = {topic.name: number for number, topic in enumerate(self._topics)}
+        self._counts = [0] * len(self._topics)  # messages of each topic
         self._finished: list[FileSummary] = []
         self._file: McapFileWriter | None = None
         self._unflushed = 0  # messages
@@ -270,12 +256,7 @@ class BagWriter:
         self.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         # Completed after an error too: the last seconds before a crash are wanted most.
         self.close()
 
@@ -286,14 +267,7 @@ class BagWriter:
 
     def open(self) -> None:
         """Create the first file and write what is known before the first message."""
-        # Definitions first: an unknown type must not leave a folder behind.
-        self._topics = tuple(
-            topic if isinstance(topic, TopicDeclaration) else declare(topic)
-            for topic in self._requested
-        )
         self._make_part()
-        self._numbers = {topic.name: number for number, topic in enumerate(self._topics)}
-        self._counts = [0] * len(self._topics)
         self._guard.install()
         with self._guard:
             self._file = self._next_file()
@@ -305,7 +279,7 @@ class BagWriter:
         declared = declare(topic)
         if topic.name not in self._numbers:
             self._numbers[topic.name] = len(self._topics)
-            self._topics = (*self._topics, declared)
+            self._topics.append(declared)
             self._counts.append(0)
             with self._guard:
                 self._file.declare(declared)
@@ -318,14 +292,10 @@ class BagWriter:
         publish_ns: int | None = None,
         sequence: int | None = None,
     ) -> None:
-        """Append a serialised message.
+        """Append a serialised message (CDR) of a topic of the bag.
 
-        Args:
-            topic: A topic given at the start or added since.
-            stamp_ns: Log time [ns]; readers order by it.
-            data: The message in CDR.
-            publish_ns: Time of publication [ns]; by default the log time.
-            sequence: Number of the message; by default counted per topic.
+        Readers order by the log time `stamp_ns`. By default the time of publication is the same, and the sequence
+        number is counted per topic.
         """
         number = self._numbers.get(topic)
         if self._file is None:
@@ -356,12 +326,8 @@ class BagWriter:
         """Close the chunk when it is as old as the recording was at its begin, after FLUSH_PERIOD at the latest.
 
         So a recording that is killed soon after its start can be read too: its chunks end at 1, 2, 4, 8, ... times
-        the first step of `now`, until they last FLUSH_PERIOD. The ends of chunks show in the bytes of the file. Live
-        recording passes wall time. Lock-step, where the same flight gives the same bytes, passes the time of the
-        flight.
-
-        Args:
-            now: Any clock that does not jump [s].
+        the first step of `now` [s], until they last FLUSH_PERIOD. The ends of chunks show in the bytes of the file.
+        Live recording passes wall time. Lock-step, where the same flight gives the same bytes, passes its own time.
         """
         if self._first_look is None:
             self._first_look = self._last_flush = now

@@ -177,6 +177,15 @@ _SHAPING = (
     ("PSC_NE_VEL_D", "PSC_VELXY_D"),
     ("PSC_JERK_NE", "PSC_JERK_XY"),
 )
+_ALTERNATIVES = (
+    ("WP_SPD", "WPNAV_SPEED"),
+    ("WP_SPD_UP", "WPNAV_SPEED_UP"),
+    ("WP_SPD_DN", "WPNAV_SPEED_DN"),
+    ("WP_ACC", "WPNAV_ACCEL"),
+    ("ATC_ANGLE_MAX", "ANGLE_MAX"),
+    *_SHAPING,
+)
+"""New and old names of the parameters of ArduCopter."""
 _PX4_AUTO = 4
 PX4 = Autopilot(
     name="px4",
@@ -198,24 +207,11 @@ PX4 = Autopilot(
     attitude_only=False,
     rates=Rates.HEADING,
     parameters=(
-        "COM_OF_LOSS_T",
-        "COM_OBL_RC_ACT",
-        "COM_RCL_EXCEPT",
-        "NAV_DLL_ACT",
-        "COM_DISARM_PRFLT",
-        "MPC_XY_VEL_MAX",
-        "MPC_Z_VEL_MAX_UP",
-        "MPC_Z_VEL_MAX_DN",
-        "MPC_ACC_HOR_MAX",
-        "MPC_ACC_UP_MAX",
-        "MPC_TILTMAX_AIR",
-        "MPC_THR_HOVER",
-        "MPC_XY_VEL_P_ACC",
-        "MPC_XY_VEL_I_ACC",
-        "MPC_XY_VEL_D_ACC",
-        "MC_ROLL_P",
+        "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "NAV_DLL_ACT", "COM_DISARM_PRFLT", "MPC_XY_VEL_MAX",
+        "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_ACC_HOR_MAX", "MPC_ACC_UP_MAX", "MPC_TILTMAX_AIR", "MPC_THR_HOVER",
+        "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_XY_VEL_D_ACC", "MC_ROLL_P",
     ),
-)
+)  # fmt: skip
 ARDUPILOT = Autopilot(
     name="ardupilot",
     number=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -235,26 +231,10 @@ ARDUPILOT = Autopilot(
     attitude_only=False,
     rates=Rates.HEADING_BY_ALL,
     parameters=(
-        "GUID_TIMEOUT",
-        "GUID_OPTIONS",
-        "WP_SPD",
-        "WP_SPD_UP",
-        "WP_SPD_DN",
-        "WP_ACC",
-        "WPNAV_SPEED",
-        "WPNAV_SPEED_UP",
-        "WPNAV_SPEED_DN",
-        "WPNAV_ACCEL",
-        "ATC_ANGLE_MAX",
-        "ANGLE_MAX",
-        "MOT_THST_HOVER",
-        "FS_EKF_ACTION",
-        "FS_GCS_ENABLE",
-        "BATT_FS_LOW_ACT",
-        "ATC_INPUT_TC",
-        *(name for names in _SHAPING for name in names),
+        "GUID_TIMEOUT", "GUID_OPTIONS", "MOT_THST_HOVER", "FS_EKF_ACTION", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT",
+        "ATC_INPUT_TC", *(name for names in _ALTERNATIVES for name in names),
     ),
-)
+)  # fmt: skip
 GENERIC = Autopilot(
     name="generic",
     number=mavlink.MAV_AUTOPILOT_GENERIC,
@@ -271,23 +251,12 @@ GENERIC = Autopilot(
 )
 AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC)}
 
-_ALTERNATIVES = (
-    ("WP_SPD", "WPNAV_SPEED"),
-    ("WP_SPD_UP", "WPNAV_SPEED_UP"),
-    ("WP_SPD_DN", "WPNAV_SPEED_DN"),
-    ("WP_ACC", "WPNAV_ACCEL"),
-    ("ATC_ANGLE_MAX", "ANGLE_MAX"),
-    *_SHAPING,
-)
-
 
 def missing_parameters(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
     """Expected parameters without an answer; of an old and a new name one is enough."""
-    missing = [name for name in autopilot.parameters if name not in values]
-    for names in _ALTERNATIVES:
-        if any(name in values for name in names):
-            missing = [name for name in missing if name not in names]
-    return missing
+    answered = [names for names in _ALTERNATIVES if any(name in values for name in names)]
+    known = {*values, *(name for names in answered for name in names)}
+    return [name for name in autopilot.parameters if name not in known]
 
 
 def limits(values: Mapping[str, float]) -> AutopilotLimits:

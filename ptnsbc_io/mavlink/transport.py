@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 
@@ -31,58 +31,59 @@ class Packet(NamedTuple):
     sender: Address | None  # None on a serial line
 
 
-class Transport(Protocol):
+class Transport:
     """A connection to one vehicle."""
 
-    stream: bool
+    stream = False
     """True for a stream of bytes, without datagrams."""
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
 
     def fileno(self) -> int:
         """For select()."""
+        return int(self._port.fileno())
 
     def receive(self) -> Packet | None:
         """The bytes that have arrived; None when there are none."""
+        raise NotImplementedError
 
     def send(self, data: bytes, address: Address | None) -> bool:
         """Send, to `address` where the transport has no fixed address; False when that fails."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close the port."""
+        with contextlib.suppress(OSError):
+            self._port.close()
 
 
-class UdpSocket:
+class UdpSocket(Transport):
     """A UDP port that listens for the vehicle, or that sends to one address and receives only from there."""
 
-    stream = False
-
     def __init__(self, host: str, port: int, *, listens: bool) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        super().__init__(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        self._port.setblocking(False)
+        self._port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         self._peer: Address | None = None if listens else (host, port)
         try:
             if listens:
-                self._socket.bind((host, port))
+                self._port.bind((host, port))
             else:
-                self._socket.connect((host, port))
+                self._port.connect((host, port))
         except OSError as error:
-            self._socket.close()
-            expected = (
+            self._port.close()
+            raise ConnectError(
                 f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
                 "does another bridge or ground station listen there?"
                 if listens
                 else f"udpout:{host}:{port}: {error.strerror}: expected an address that can be reached"
-            )
-            raise ConnectError(expected) from None
-
-    def fileno(self) -> int:
-        """For select()."""
-        return self._socket.fileno()
+            ) from None
 
     def receive(self) -> Packet | None:
         """A datagram and its sender."""
         try:
-            data, sender = self._socket.recvfrom(_DATAGRAM)
+            data, sender = self._port.recvfrom(_DATAGRAM)
         except OSError:  # nothing has arrived, or an ICMP error of a packet we sent
             return None
         return Packet(data, self._peer or sender)
@@ -91,17 +92,13 @@ class UdpSocket:
         """Send to the peer, or to the vehicle once it is known."""
         try:
             if self._peer is not None:
-                return self._socket.send(data) == len(data)
-            return address is not None and self._socket.sendto(data, address) == len(data)
+                return bool(self._port.send(data) == len(data))
+            return address is not None and self._port.sendto(data, address) == len(data)
         except OSError:
             return False
 
-    def close(self) -> None:
-        """Close the port."""
-        self._socket.close()
 
-
-class Serial:
+class Serial(Transport):
     """A serial line, raw, without flow control."""
 
     stream = True
@@ -109,24 +106,18 @@ class Serial:
     def __init__(self, device: str, baud: int) -> None:
         import serial  # imported only where a serial port is used
 
-        self._errors = (serial.SerialException, OSError)
         try:
-            self._port: Any = serial.Serial(device, baud, timeout=0, write_timeout=0)
-        except (serial.SerialException, ValueError) as error:
+            super().__init__(serial.Serial(device, baud, timeout=0, write_timeout=0))
+        except (OSError, ValueError) as error:  # SerialException is an OSError
             raise ConnectError(
                 f"serial:{device}:{baud}: {error}: expected a serial device that this user may open"
             ) from None
-
-    def fileno(self) -> int:
-        """For select()."""
-        number: int = self._port.fileno()
-        return number
 
     def receive(self) -> Packet | None:
         """The bytes that have arrived."""
         try:
             data = self._port.read(_CHUNK)
-        except self._errors:
+        except OSError:
             return None
         return Packet(data, None) if data else None
 
@@ -134,13 +125,8 @@ class Serial:
         """Send on the line."""
         try:
             return bool(self._port.write(data) == len(data))
-        except self._errors:
+        except OSError:
             return False
-
-    def close(self) -> None:
-        """Close the line."""
-        with contextlib.suppress(*self._errors):
-            self._port.close()
 
 
 def connect(text: str) -> Transport:

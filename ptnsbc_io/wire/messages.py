@@ -345,12 +345,7 @@ def _refuse(what: str, quantity: str, numbers: Sequence[float], limit: float) ->
 
 
 class OdometryDecoder:
-    """Decoder of the Odometry of one sender.
-
-    Args:
-        frame_id: the frame of the pose that the sender must name; None: any.
-        child_frame_id: the frame of the velocities, None with a `frame_id` of None.
-    """
+    """Decoder of the Odometry of one sender, which must name these frames; None: any."""
 
     def __init__(self, frame_id: str | None = None, child_frame_id: str | None = None) -> None:
         self._names = (frame_id, child_frame_id)

@@ -118,12 +118,9 @@ def decode_near(buf: bytes) -> Stamped:
 def _point_type(
     fields: tuple[tuple[str, int, int, int], ...], order: str, point_step: int
 ) -> np.dtype[np.void]:
-    """Structured dtype that picks the near fields out of one point.
+    """Structured dtype that picks the near fields out of one point of `point_step` bytes.
 
-    Args:
-        fields: name, offset, datatype and number of elements of each.
-        order: of the bytes of the points.
-        point_step: size of a point [bytes].
+    Each of its `fields` has a name, an offset, a datatype and a number of elements.
     """
     if point_step > _LARGEST_STEP:
         raise WireError(f"{_WHAT}: point_step={point_step}: expected {_LARGEST_STEP} at most")

@@ -30,7 +30,7 @@ def make():
         link = MavlinkLink(
             connect(f"udpin:127.0.0.1:{free_port()}"), 1, WANTED, key and Signer(key)
         )
-        port = link._transport._socket.getsockname()[1]
+        port = link._transport._port.getsockname()[1]
         far = Far(port, sysid, compid, far_key)
         open_things.extend((link, far))
         return link, far
