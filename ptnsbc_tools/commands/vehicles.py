@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -76,10 +76,14 @@ def bridge(vehicle: Vehicle) -> None:
     vehicle acts.
     """
     with ros.required(_INSTALL):
-        from ptnsbc_nodes.bridge.process import bridge as run
-    arming = vehicle.allow_arming
-    key = vehicle.signing_key
-    sys.exit(run(vehicle.flown(), vehicle.uav, key, sys.argv[:1], allow_arming=arming))
+        from ptnsbc_nodes.bridge.process import serve_bridge
+    given: dict[str, str | int | bool | float | None] = {
+        "scenario_text": vehicle.flown().text,
+        "uav": vehicle.uav,
+        "signing_key": str(vehicle.signing_key or ""),
+        "allow_arming": vehicle.allow_arming,
+    }
+    sys.exit(serve_bridge(given, sys.argv[:1], managed=False))
 
 
 def tune(
@@ -113,8 +117,24 @@ def tune(
     fits = fitting(flown, found)
     for line in _lines(flown, found, fits):
         console.say(line)
-    uavs = _alike(flown, uav) if alike else (uav,)
-    keys = _keys(flown, found, fits, uavs)
+    kind, response = flown.vehicle_link(uav).autopilot, found.response
+    uavs = [i for i in flown.uav_ids if alike and flown.vehicle_link(i).autopilot == kind] or [uav]
+    keys = {  # the `mavlink` block that makes the scenario fit
+        "overrides": {
+            **flown.mavlink.overrides,
+            "gains.formation.kappa_1_s": round(fits.kappa_1_s, 2),
+            "gains.formation.residual": float(f"{fits.residual:.2g}"),
+            "gains.formation.deadline_s": fits.deadline_s,
+            "gains.filter.bandwidth_1_s": fits.filter_1_s,
+        },
+        "vehicles": {
+            i: {
+                "velocity_loop_1_s": round(response.gain, 3),
+                "tilt_lag_s": round(response.tilt_lag_s, 3),
+            }
+            for i in uavs
+        },
+    }
     if output is not None:
         _write(output, vehicle.scenario, keys, found)
         console.say(f"next: ptnsbc fleet {output} --backend mavlink --allow-arming")
@@ -148,33 +168,7 @@ def _lines(scenario: Scenario, found: Identified, fits: Settings) -> Iterator[st
     )
 
 
-def _alike(scenario: Scenario, uav: int) -> tuple[int, ...]:
-    kind = scenario.vehicle_link(uav).autopilot
-    return tuple(i for i in scenario.uav_ids if scenario.vehicle_link(i).autopilot == kind)
-
-
-def _keys(
-    scenario: Scenario, found: Identified, fits: Settings, uavs: tuple[int, ...]
-) -> dict[str, Any]:
-    """The `mavlink` block that makes the scenario fit."""
-    response = found.response
-    own = {
-        "velocity_loop_1_s": round(response.gain, 3),
-        "tilt_lag_s": round(response.tilt_lag_s, 3),
-    }
-    overrides = {
-        "gains.formation.kappa_1_s": round(fits.kappa_1_s, 2),
-        "gains.formation.residual": float(f"{fits.residual:.2g}"),
-        "gains.formation.deadline_s": fits.deadline_s,
-        "gains.filter.bandwidth_1_s": fits.filter_1_s,
-    }
-    return {
-        "overrides": {**scenario.mavlink.overrides, **overrides},
-        "vehicles": {uav: dict(own) for uav in uavs},
-    }
-
-
-def _write(path: Path, base: str, keys: dict[str, Any], found: Identified) -> None:
+def _write(path: Path, base: str, keys: Mapping[str, Any], found: Identified) -> None:
     """A scenario file that extends the one that was given."""
     from ptnsbc_io.files import replacing
     from ptnsbc_sim.scenario.reading.reader import dump, find
@@ -182,11 +176,8 @@ def _write(path: Path, base: str, keys: dict[str, Any], found: Identified) -> No
     source = find(base)
     if source.resolve() == path.resolve():
         raise TuneFileError(f"{path}: is the scenario itself: expected another file")
-    named = (
-        base
-        if os.sep not in base and not Path(base).suffix
-        else os.path.relpath(source, path.parent)
-    )
+    built_in = os.sep not in base and not Path(base).suffix
+    named = base if built_in else os.path.relpath(source, path.parent)
     measured = "".join(
         f"# {point.hertz:g} Hz: gain {point.gain:.2f}, lag {point.lag_s:.2f} s\n"
         for point in found.points

@@ -12,7 +12,7 @@ from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import refuse_outside
-from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
+from ptnsbc_tools.reading.bag_sources import scenario_of
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
 
@@ -106,7 +106,7 @@ def rerun(
     """
     path = Path(bag)
     found = bags.read_bag(path)
-    flown = scenario_of(McapSource(found), None if scenario is None else Path(scenario))
+    flown = scenario_of(found, None if scenario is None else Path(scenario))
     flown = _trusted(path, flown, law, plugins)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_fleet

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ptnsbc_io.bag import BagError, BagMessage
+from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import (
     Diagnostics,
     Stamped,
@@ -31,10 +31,9 @@ from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, wit
 from ptnsbc_tools.limits import SHORTEST_WINDOW_S, refuse_outside
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
-    BagSource,
     TopicNames,
     check_types,
-    open_source,
+    open_bag,
     scenario_of,
 )
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
@@ -68,8 +67,9 @@ class DiagnosticCounters:
     def __init__(self, file: SampleFile) -> None:
         self.latency: dict[str, float] = {}
         self.injected: dict[str, None] = {}  # faults of an operator, in the order of the first word
-        self._counters = TrackWriters[int](file)
-        self._sent = TrackWriters[int](file)
+        self.counters = TrackWriters[int](file)  # `COUNTERS` of each UAV
+        self.sent = TrackWriters[int](file)
+        """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
 
     def add(self, array: Diagnostics) -> None:
         """Take an array of diagnostics."""
@@ -80,24 +80,16 @@ class DiagnosticCounters:
                         self.injected.setdefault(text)
                 if array.stamp_ns >= 0:
                     values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
-                    self._counters.add(int(planner[1]), array.stamp_ns, values)
+                    self.counters.add(int(planner[1]), array.stamp_ns, values)
             elif link := _LINK.fullmatch(status.name):
                 sent = _STATES_SENT.fullmatch(status.values.get("states_sent", ""))
                 if sent and int(sent[1]) <= _LAST_NS:
-                    self._sent.add(int(link[1]), int(sent[1]), np.array([float(sent[2])]))
+                    self.sent.add(int(link[1]), int(sent[1]), np.array([float(sent[2])]))
             elif status.name == _SIM:
                 found = {key: _LATENCY.fullmatch(key) for key in status.values}
                 figures = {m[1]: _number(status.values, key, 0.0) for key, m in found.items() if m}
                 # Lock-step has no latency.
                 self.latency = figures if any(figures.values()) else {}
-
-    def counters(self) -> dict[int, Track]:
-        """The counters `COUNTERS` of each UAV."""
-        return self._counters.tracks()
-
-    def sent(self) -> dict[int, Track]:
-        """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
-        return self._sent.tracks()
 
 
 @dataclass(frozen=True)
@@ -149,12 +141,10 @@ class StatusCollector:
 
 def read_status(path: Path) -> StatusSeries:
     """The values that the nodes of a bag published; empty where none was recorded."""
-    source = open_source(path)
-    types = source.types()
-    collector = StatusCollector()
-    ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
-    wanted = [name for name in (topics.DIAGNOSTICS.name, *ticks) if name in types]
-    for message in source.messages(wanted):
+    bag, collector = open_bag(path), StatusCollector()
+    ticks = {name: int(found[1]) for name in bag.topics if (found := _TICK.fullmatch(name))}
+    wanted = [name for name in (topics.DIAGNOSTICS.name, *ticks) if name in bag.topics]
+    for message in bag.messages(wanted):
         try:
             if message.topic == topics.DIAGNOSTICS.name:
                 collector.add_diagnostics(decode_diagnostics(message.data))
@@ -198,40 +188,29 @@ DEFAULTS = ReadOptions()
 class _Collector:
     """Decodes the messages of a bag one by one and sorts them by topic."""
 
-    def __init__(self, source: BagSource, names: TopicNames, scenario: Scenario) -> None:
-        uavs = scenario.uav_ids
+    def __init__(self, names: TopicNames, scenario: Scenario) -> None:
         self.epochs: set[tuple[int, str]] = set()
         self.taken: list[Stamped] = []
         self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
-        self._source = source
-        self._names = names
-        self._uavs = uavs
+        self._names, self._uavs = names, scenario.uav_ids
         self._samples = TrackWriters[str](file)
         self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
-        for uav in uavs:
+        for uav in scenario.uav_ids:
             for pattern in (names.odom, names.estimate, names.truth):
                 self._decoders[names.of(pattern, uav)] = decode_odometry
             self._decoders[names.of(names.wrench, uav)] = decode_wrench
 
-    def collect(self) -> None:
+    def collect(self, bag: Bag) -> None:
         """Read all messages that the verdict needs."""
-        common = (
-            topics.EPOCH.name,
-            topics.SLOTS.name,
-            topics.TAKEN.name,
-            topics.DIAGNOSTICS.name,
-        )
-        names = [*self._decoders, *common]
-        types = self._source.types()
-        for message in self._source.messages([name for name in names if name in types]):
+        common = (topics.EPOCH, topics.SLOTS, topics.TAKEN, topics.DIAGNOSTICS)
+        names = [*self._decoders, *(topic.name for topic in common)]
+        for message in bag.messages([name for name in names if name in bag.topics]):
             try:
                 self._add(message)
             except WireError as error:
-                raise BagError(
-                    f"{self._source.path}: a message on {message.topic}: {error}"
-                ) from None
+                raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
         self._tracks = self._samples.tracks()
 
     def _add(self, message: BagMessage) -> None:
@@ -256,21 +235,16 @@ class _Collector:
 
 
 def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
-    """Everything that the verdict needs from a bag, whoever recorded it.
-
-    Args:
-        path: the bag's folder or .mcap file.
-        options: how it is read.
+    """Everything that the verdict needs from a bag (its folder, or an .mcap file), whoever recorded it.
 
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
     """
-    names = options.names
-    source = open_source(path)
-    scenario = scenario_of(source, options.scenario)
-    check_types(source, names, scenario)
-    collector = _Collector(source, names, scenario)
-    collector.collect()
+    names, bag = options.names, open_bag(path)
+    scenario = scenario_of(bag, options.scenario)
+    check_types(bag, names, scenario)
+    collector = _Collector(names, scenario)
+    collector.collect(bag)
     odometry = collector.tracks(names.odom)
     epochs = tuple(sorted(collector.epochs))
     slots = {t0_ns: found for t0_ns, _ in epochs if (found := collector.slots.of(t0_ns))}
@@ -285,8 +259,8 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
         wrench=collector.tracks(names.wrench),
         estimate=collector.tracks(names.estimate),
         truth=collector.tracks(names.truth),
-        counters=collector.counters.counters(),
-        sent=collector.counters.sent(),
+        counters=collector.counters.counters.tracks(),
+        sent=collector.counters.sent.tracks(),
         epochs=with_landing(scenario, epochs),
         slots=slots,
         latency=collector.counters.latency,

@@ -121,11 +121,6 @@ class _StatusMessages:
         yield diagnostics(stamp_ns, "sim: world", DiagnosticLevel.OK, "", values)
 
 
-def _as_received(data: bytes) -> bytes:
-    """A message as a subscriber receives it: DDS pads it with zeros to a multiple of four bytes."""
-    return data + bytes(-len(data) % 4)
-
-
 def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
     """Stamp [ns] and sorted messages of every tick."""
     uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
@@ -144,7 +139,8 @@ def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
         found.extend((topics.TF.name, data) for data in made if data is not None)
         found.extend(status.at(tick, stamp_ns))
         found.sort(key=lambda message: message[0])
-        yield stamp_ns, [(topic, _as_received(data)) for topic, data in found]
+        # DDS pads a message with zeros to a multiple of four bytes.
+        yield stamp_ns, [(topic, data + bytes(-len(data) % 4)) for topic, data in found]
 
 
 def prepare_bag(directory: Path, *, overwrite: bool) -> None:
@@ -167,14 +163,7 @@ def write_flight(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a flight into a bag and return its folder.
-
-    Args:
-        flight: from `ptnsbc_sim.swarm.fly`.
-        directory: the bag's folder.
-        overwrite: replace an existing bag.
-        progress: called now and then with the ticks done and their total.
-    """
+    """Write a flight into a bag and return its folder; `progress` gets the ticks done and their total now and then."""
     prepare_bag(directory, overwrite=overwrite)
     from ptnsbc_nodes.recording.recorder import topic_info
 

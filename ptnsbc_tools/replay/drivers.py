@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,11 +30,16 @@ from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
-from ptnsbc_tools.replay.recorded_messages import Difference, Mismatch, TopicBuffer
-from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay, heard_topics
+from ptnsbc_tools.replay.uav_replay import (
+    Difference,
+    Mismatch,
+    MissingError,
+    TopicBuffer,
+    UavReplay,
+    heard_topics,
+)
 
 _KEPT_SNAPSHOTS = 8
-_KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that are not made
 
 
 class ReplayState:
@@ -74,9 +80,20 @@ class ReplayState:
         if buffer is not None:
             buffer.put(message.data)
         elif message.topic == topics.DIAGNOSTICS.name:
-            self._put_diagnostics(message.data)
+            for status in decode_diagnostics(message.data).statuses:
+                name, _, kind = status.name.partition(": ")
+                uav, ticks = name.removeprefix("uav"), status.values.get("ticks", "")
+                if kind == "planner" and uav.isdecimal() and ticks.isdecimal():
+                    replay = self.uavs.get(int(uav))
+                    if replay is not None:
+                        replay.keep_counters(int(ticks), status.values)
         elif message.topic == topics.EPOCH.name:
-            self._put_epoch(message.data)
+            epoch = decode_header(message.data)
+            word = number_of(epoch.frame_id) is not None
+            if word or epoch.frame_id in LEGS:
+                self.epochs.announce(epoch.stamp_ns, epoch.frame_id)
+                if not word and self.first_t0_ns is None:
+                    self.first_t0_ns = epoch.stamp_ns
         elif message.topic == topics.SLOTS.name:
             keep_recorded(self.slots, message.data)
         elif message.topic in self._snapshot_topics:
@@ -100,100 +117,71 @@ class ReplayState:
         """Time after the first epoch; after zero before an epoch is known."""
         return (stamp_ns - (self.first_t0_ns or 0)) * 1e-9
 
-    def _put_epoch(self, data: bytes) -> None:
-        epoch = decode_header(data)
-        word = number_of(epoch.frame_id) is not None
-        if word or epoch.frame_id in LEGS:
-            self.epochs.announce(epoch.stamp_ns, epoch.frame_id)
-            if not word and self.first_t0_ns is None:
-                self.first_t0_ns = epoch.stamp_ns
-
-    def _put_diagnostics(self, data: bytes) -> None:
-        for status in decode_diagnostics(data).statuses:
-            name, _, kind = status.name.partition(": ")
-            uav, ticks = name.removeprefix("uav"), status.values.get("ticks", "")
-            if kind == "planner" and uav.isdecimal() and ticks.isdecimal():
-                replay = self.uavs.get(int(uav))
-                if replay is not None:
-                    replay.recorded_counters.setdefault(int(ticks), []).append(status.values)
-                    if len(replay.recorded_counters) > _KEPT_STATUSES:
-                        del replay.recorded_counters[next(iter(replay.recorded_counters))]
-
 
 _WINDOW_NS = 1_000_000_000  # by how much later than a step its messages may be recorded
 _KEPT_STAMPS = 2000  # per UAV: several seconds
 
-S = TypeVar("S")
 
-
-class StepIndex(NamedTuple):
+class ReplayStep(NamedTuple):
     """A step as the flight counts it."""
 
     tick: int
     stamp_ns: int
+    note: TickNote | None = None  # of real time
 
 
-class Driver(ABC, Generic[S]):
+class Driver(ABC):
     """Makes the steps of all UAVs in the order of the recording.
 
     A step waits until all its messages have been read.
     """
 
-    triggers: Mapping[str, int]  # topics whose messages stand for steps, and their UAVs
-
-    def __init__(self, state: ReplayState) -> None:
+    def __init__(self, state: ReplayState, trigger: Callable[[int], topics.Topic]) -> None:
+        """`trigger`: the topic of a UAV whose messages stand for its steps."""
         self.state = state
-        self._due: deque[tuple[int, int, S]] = deque()  # log time, UAV, step
+        self.triggers = {trigger(uav).name: uav for uav in state.uavs}
+        self._due: deque[tuple[int, int, ReplayStep]] = deque()  # log time, UAV, step
 
     @abstractmethod
-    def read(self, uav: int, data: bytes) -> S:
+    def read(self, uav: int, data: bytes) -> ReplayStep:
         """The step of a trigger."""
 
     @abstractmethod
-    def index(self, step: S) -> StepIndex:
-        """The place of a step in the flight."""
-
-    @abstractmethod
-    def make(self, replay: UavReplay, step: S) -> Mismatch | None:
+    def make(self, replay: UavReplay, step: ReplayStep) -> Mismatch | None:
         """Make a step; returns what differs from the recording."""
 
     def add(self, topic: str, log_ns: int, data: bytes) -> None:
         """Take a trigger, and make the steps that were recorded `_WINDOW_NS` before it."""
         uav = self.triggers[topic]
         self._due.append((log_ns, uav, self.read(uav, data)))
-        while self._due[0][0] < log_ns - _WINDOW_NS:
-            self._make_first()
+        self.make_until(log_ns - _WINDOW_NS)
 
-    def make_all(self) -> None:
-        """Make the steps that are left."""
-        while self._due:
-            self._make_first()
-
-    def _make_first(self) -> None:
-        _, uav, step = self._due.popleft()
-        replay = self.state.uavs[uav]
-        if replay.account.difference is not None:  # its controller state differs from there on
-            return
-        replay.follow(self.state.epochs.scenario)
-        try:
-            found = self.make(replay, step)
-        except WireError as error:
-            found = Mismatch("an input", f"unreadable ({error})", "nothing")
-        if found is not None:
-            tick, stamp_ns = self.index(step)
-            t_s = self.state.seconds(stamp_ns)
-            replay.account.difference = Difference(uav, tick, t_s, stamp_ns, *found)
+    def make_until(self, log_ns: float = math.inf) -> None:
+        """Make the steps that were recorded before `log_ns`."""
+        while self._due and self._due[0][0] < log_ns:
+            _, uav, step = self._due.popleft()
+            replay = self.state.uavs[uav]
+            if replay.account.difference is not None:  # its controller state differs from there on
+                continue
+            replay.follow(self.state.epochs.scenario)
+            try:
+                found = self.make(replay, step)
+            except WireError as error:
+                found = Mismatch("an input", f"unreadable ({error})", "nothing")
+            if found is not None:
+                t_s = self.state.seconds(step.stamp_ns)
+                difference = Difference(uav, step.tick, t_s, step.stamp_ns, *found)
+                replay.account.difference = difference
 
 
-class LockstepDriver(Driver[int]):
+class LockstepDriver(Driver):
     """Lock-step and headless bags: the rule of lock-step names the inputs of tick k (docs/lockstep.md).
 
     A step is the stamp of the UAV's own odometry.
     """
 
     def __init__(self, state: ReplayState) -> None:
-        super().__init__(state)
-        self.triggers = {topics.odom(uav).name: uav for uav in state.uavs}
+        super().__init__(state, topics.odom)
         self._period_ns = state.scenario.timing.dt_ns
         self._near_every = state.scenario.near_every
         self._open_slots = state.scenario.formation.has_open_slots
@@ -202,29 +190,26 @@ class LockstepDriver(Driver[int]):
         dead = gone(state.scenario)
         self._gone = {uav: dead[:, row] for row, uav in enumerate(state.scenario.uav_ids)}
 
-    def read(self, uav: int, data: bytes) -> int:
-        """The stamp; WireError when it is no instant of simulated time."""
+    def read(self, uav: int, data: bytes) -> ReplayStep:
+        """Ticks are counted from simulated time 0; WireError when a stamp is no instant of it."""
         stamp_ns = peek_stamp(data)
         if stamp_ns % self._period_ns:
             raise WireError(
                 f"stamp {stamp_ns} ns is no multiple of the period {self._period_ns} ns: expected "
                 f"lock-step, or {topics.tick(uav).name} of real time in the bag"
             )
-        return stamp_ns
+        return ReplayStep(stamp_ns // self._period_ns, stamp_ns)
 
-    def index(self, step: int) -> StepIndex:
-        """Ticks are counted from simulated time 0."""
-        return StepIndex(step // self._period_ns, step)
-
-    def make(self, replay: UavReplay, step: int) -> Mismatch | None:
-        """Make the step at `step` [ns] from the messages of the tick before."""
-        leg = self.state.epochs.at(step, replay.uav)
+    def make(self, replay: UavReplay, step: ReplayStep) -> Mismatch | None:
+        """Make the step at a stamp from the messages of the tick before."""
+        now_ns = step.stamp_ns
+        leg = self.state.epochs.at(now_ns, replay.uav)
         if leg is None:
             return None
-        if self._is_gone(replay.uav, step, leg.first_t0_ns):
-            self._next_ns[replay.uav] = step + self._period_ns
+        if self._is_gone(replay.uav, now_ns, leg.first_t0_ns):
+            self._next_ns[replay.uav] = now_ns + self._period_ns
             return None
-        if self._is_gone(replay.uav, step - self._period_ns, leg.first_t0_ns):
+        if self._is_gone(replay.uav, now_ns - self._period_ns, leg.first_t0_ns):
             replay.begin(None)  # another process
         replay.controller.inbox.begin(leg.first_t0_ns)
         why = self._gaps.get(replay.uav)
@@ -232,14 +217,14 @@ class LockstepDriver(Driver[int]):
             try:
                 if self._open_slots and leg.mode == MODE_FORMATION:
                     replay.take_slot(leg.t0_ns)
-                self._fetch(replay, step)
+                self._fetch(replay, now_ns)
             except MissingError as missing:
                 why = str(missing)
                 self._gaps[replay.uav] = why
         if why is not None:
-            replay.account.skip(self.state.seconds(step), 1, why)
+            replay.account.skip(self.state.seconds(now_ns), 1, why)
             return None
-        outputs = replay.step(step_time(step, self._period_ns, leg, 0), step)
+        outputs = replay.step(step_time(now_ns, self._period_ns, leg, 0), now_ns)
         found = replay.compare(outputs, self.state.buffers)
         return found or replay.compare_counters()
 
@@ -281,19 +266,18 @@ class LockstepDriver(Driver[int]):
             replay.hold(name, last)
 
 
-class RealTimeDriver(Driver[TickNote]):
+class RealTimeDriver(Driver):
     """Real-time bags: each UAV recorded on `/uavN/tick` which messages went into each step.
 
     A step is such a note (`ptnsbc_nodes.uav.step_log`).
     """
 
     def __init__(self, state: ReplayState) -> None:
-        super().__init__(state)
-        self.triggers = {topics.tick(uav).name: uav for uav in state.uavs}
+        super().__init__(state, topics.tick)
         self._sent: dict[int, dict[int, int]] = {uav: {} for uav in state.uavs}  # steps by stamp
         self._why = dict.fromkeys(state.uavs, "the recording begins after the first step")
 
-    def read(self, uav: int, data: bytes) -> TickNote:
+    def read(self, uav: int, data: bytes) -> ReplayStep:
         """The note. All outputs of its step have the stamp of its own odometry."""
         row = decode_integers(data)
         note = tick_note(row.label, row.values.tolist())
@@ -302,48 +286,47 @@ class RealTimeDriver(Driver[TickNote]):
         sent[own_ns] = sent.get(own_ns, 0) + 1
         if len(sent) > _KEPT_STAMPS:
             del sent[next(iter(sent))]
-        return note
+        return ReplayStep(note.sequence, note.moment.now_ns, note)
 
-    def index(self, step: TickNote) -> StepIndex:
-        """Ticks are counted by the process."""
-        return StepIndex(step.sequence, step.moment.now_ns)
-
-    def make(self, replay: UavReplay, step: TickNote) -> Mismatch | None:
+    def make(self, replay: UavReplay, step: ReplayStep) -> Mismatch | None:
         """Make the step of a note, if the controller has made all steps before it."""
-        snapshot = self.state.snapshot(replay.uav, step.sequence)
-        if step.sequence == 0:  # the controller has started, or started again
+        note = step.note
+        if note is None:  # a step of this driver has one
+            return None
+        snapshot = self.state.snapshot(replay.uav, note.sequence)
+        if note.sequence == 0:  # the controller has started, or started again
             replay.begin(snapshot)
         expected = replay.next_step
-        if expected != step.sequence:
+        if expected != note.sequence:
             if expected is not None:
                 self._why[replay.uav] = f"notes on {topics.tick(replay.uav).name} are not recorded"
-                self._skip(replay, step, step.sequence - expected)
-            self._leave_out(replay, step, snapshot)
+                self._skip(replay, note, note.sequence - expected)
+            self._leave_out(replay, note, snapshot)
             return None
         try:
-            wrong = replay.fetch(step, self.state.buffers)
+            wrong = replay.fetch(note, self.state.buffers)
         except MissingError as missing:
             self._why[replay.uav] = str(missing)
-            self._leave_out(replay, step, snapshot)
+            self._leave_out(replay, note, snapshot)
             return None
-        outputs = replay.step(step.moment)
-        expected = self._sent[replay.uav].get(step.used["own"].stamp_ns, 1)
+        outputs = replay.step(note.moment)
+        expected = self._sent[replay.uav].get(note.used["own"].stamp_ns, 1)
         found = wrong or replay.compare(outputs, self.state.buffers, expected)
         found = found or replay.compare_counters()
         if found is None and snapshot is not None:
-            found = replay.compare_snapshot(step.sequence, snapshot)
+            found = replay.compare_snapshot(note.sequence, snapshot)
         return found
 
-    def _leave_out(self, replay: UavReplay, step: TickNote, snapshot: bytes | None) -> None:
+    def _leave_out(self, replay: UavReplay, note: TickNote, snapshot: bytes | None) -> None:
         """Do not make a step; continue after it if there is a snapshot."""
-        self._skip(replay, step, 1)
+        self._skip(replay, note, 1)
         replay.reset()
         if snapshot is not None:
-            replay.resume(step, snapshot)
+            replay.resume(note, snapshot)
 
-    def _skip(self, replay: UavReplay, step: TickNote, steps: int) -> None:
-        if step.moment.flying:
-            t_s = self.state.seconds(step.moment.now_ns)
+    def _skip(self, replay: UavReplay, note: TickNote, steps: int) -> None:
+        if note.moment.flying:
+            t_s = self.state.seconds(note.moment.now_ns)
             replay.account.skip(t_s, steps, self._why[replay.uav])
         else:
             replay.account.waiting += steps

@@ -8,21 +8,20 @@ from __future__ import annotations
 import dataclasses
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag import Bag, BagError, BagMessage
+from ptnsbc_io.bag import Bag, BagError
 from ptnsbc_io.wire import WireError, decode_header, decode_odometry
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict.recording import with_taken
 from ptnsbc_tools.replay.drivers import LockstepDriver, RealTimeDriver, ReplayState
-from ptnsbc_tools.replay.recorded_messages import Difference
-from ptnsbc_tools.replay.uav_replay import Account
+from ptnsbc_tools.replay.uav_replay import Account, Difference
 
 Advance = Callable[[int, int], None]
 Progress = Callable[[], AbstractContextManager[Advance]]
@@ -87,20 +86,17 @@ def rerun(
     progress: Progress = _no_progress,
     jobs: int = 1,
 ) -> Rerun:
-    """Re-run every step of every UAV.
+    """Re-run every step of every UAV of a flight of ours, in `jobs` processes.
 
-    Args:
-        bag: a flight of ours, from `read_bag`.
-        scenario: the scenario that was flown.
-        progress: gives a function that is called now and then with the messages done and their total.
-        jobs: number of processes; each takes a part of the UAVs.
+    `progress` gives a function that is called now and then with the messages done and their total.
 
     Raises:
         PluginError: the scenario names a plug-in without its file: a bag carries no code.
         BagError: there is no step to re-run, or a message cannot be read.
     """
     scenario = _with_taken(bag, scenario)
-    realtime = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
+    ticks = {topics.tick(uav).name for uav in scenario.uav_ids}
+    realtime = any(topic.messages for topic in bag.topics.values() if topic.name in ticks)
     ids = scenario.uav_ids
     groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
     parts = [partial(_accounts, bag, scenario, group, realtime) for group in groups]
@@ -135,30 +131,21 @@ def _accounts(
 ) -> Accounts:
     """Re-run some of the UAVs."""
     state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
-    driver: RealTimeDriver | LockstepDriver
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
+    wanted = state.wanted(bag)
+    total = sum(bag.topics[name].messages for name in wanted)
     with progress() as advance:  # after the fork: a progress bar has a thread
-        for message in _read(bag, state.wanted(bag), advance):
+        for done, message in enumerate(bag.messages(wanted), start=1):
+            if done % _EVERY == 0 or done == total:
+                advance(done, total)
             try:
                 state.put(message)
                 if message.topic in driver.triggers:
                     driver.add(message.topic, message.stamp_ns, message.data)
             except WireError as error:
                 raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
-        driver.make_all()
+        driver.make_until()
     return {uav: replay.account for uav, replay in state.uavs.items()}
-
-
-def _messages(bag: Bag, name: str) -> int:
-    return bag.topics[name].messages if name in bag.topics else 0
-
-
-def _read(bag: Bag, wanted: list[str], advance: Advance) -> Iterator[BagMessage]:
-    total = sum(_messages(bag, name) for name in wanted)
-    for done, message in enumerate(bag.messages(wanted), start=1):
-        yield message
-        if done % _EVERY == 0 or done == total:
-            advance(done, total)
 
 
 def _in_parallel(parts: Sequence[Callable[[], Accounts]]) -> list[Accounts]:

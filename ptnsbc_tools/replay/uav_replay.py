@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -10,8 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.agent import Agent, PackedOutputs
-from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
-from ptnsbc_io.wire import Stamped, WireError, decode_floats
+from ptnsbc_core.types import ODOMETRY_SIZE
+from ptnsbc_io.wire import (
+    Stamped,
+    WireError,
+    decode_floats,
+    decode_near,
+    decode_odometry,
+    decode_velocity,
+    decode_wrench,
+    peek_stamp,
+)
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.announcements import DecidedSlots
@@ -30,17 +40,161 @@ from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpee
 from ptnsbc_nodes.uav.uav_faults import sent_faults
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.replay.recorded_messages import (
-    Difference,
-    Mismatch,
-    TopicBuffer,
-    of_messages,
-    of_numbers,
-    of_texts,
+
+_KEPT_NS = 5_000_000_000  # age behind the newest message at which a message is dropped
+_SPARE = 256  # stamps between two clearings
+_NONE: list[bytes] = []
+
+_DECODERS: dict[str, Callable[[bytes], Stamped]] = {
+    "nav_msgs/msg/Odometry": decode_odometry,
+    "sensor_msgs/msg/PointCloud2": decode_near,
+}
+
+
+class TopicBuffer:
+    """The newest messages of one topic by stamp; several may have the same stamp."""
+
+    def __init__(self, type_name: str) -> None:
+        self._decode = _DECODERS.get(type_name)
+        self._stamps: list[int] = []  # ascending
+        self._messages: dict[int, list[bytes]] = {}
+        self._decoded: dict[int, list[Stamped]] = {}  # as far as a step needed them
+
+    def put(self, data: bytes) -> None:
+        """Keep a message by the stamp in its header."""
+        stamp_ns = peek_stamp(data)
+        messages = self._messages.get(stamp_ns)
+        if messages is not None:
+            messages.append(data)
+            return
+        self._messages[stamp_ns] = [data]
+        stamps = self._stamps
+        if not stamps or stamp_ns > stamps[-1]:
+            stamps.append(stamp_ns)
+        else:
+            insort(stamps, stamp_ns)
+        if len(stamps) % _SPARE == 0:
+            # The newest message is always kept: the last state of a sender that has ended still counts.
+            keep = bisect_left(stamps, stamps[-1] - _KEPT_NS)
+            for old_ns in stamps[:keep]:
+                del self._messages[old_ns]
+                self._decoded.pop(old_ns, None)
+            del stamps[:keep]
+
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp, -1 before the first message."""
+        return self._stamps[-1] if self._stamps else -1
+
+    def at(self, stamp_ns: int) -> list[bytes]:
+        """Messages with this stamp, in the order of the recording."""
+        return self._messages.get(stamp_ns, _NONE)
+
+    def read(self, stamp_ns: int) -> list[Stamped]:
+        """Messages with this stamp, decoded; WireError when one cannot be decoded."""
+        data = self._messages.get(stamp_ns, _NONE)
+        found = self._decoded.get(stamp_ns)
+        if found is None or len(found) < len(data):
+            if self._decode is None:
+                raise WireError("a message that no step is made of")
+            found = [self._decode(one) for one in data]
+            self._decoded[stamp_ns] = found
+        return found
+
+    def before(self, stamp_ns: int) -> Stamped | None:
+        """The newest message stamped before `stamp_ns`, decoded."""
+        index = bisect_left(self._stamps, stamp_ns)
+        return self.read(self._stamps[index - 1])[-1] if index else None
+
+
+_ODOMETRY = (
+    *(f"pose.position.{axis}" for axis in "xyz"),
+    *(f"pose.orientation.{axis}" for axis in "xyzw"),
+    *(f"twist.linear.{axis}" for axis in "xyz"),
+    *(f"twist.angular.{axis}" for axis in "xyz"),
 )
+_TWIST = tuple(f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
+_WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+
+_FIELDS: dict[str, tuple[Callable[[bytes], Stamped], tuple[str, ...]]] = {
+    "formation_state": (decode_odometry, _ODOMETRY),
+    "leader_estimate": (decode_odometry, _ODOMETRY),
+    "setpoint/velocity": (decode_velocity, _TWIST),
+    "setpoint/wrench": (decode_wrench, _WRENCH),
+}
+
+
+class Mismatch(NamedTuple):
+    """A recorded and a computed value that differ."""
+
+    field: str  # topic and field, or what else differs
+    recorded: str
+    computed: str
+    difference: float | None = None  # computed - recorded, where both are numbers
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first value of one UAV that differs from the recording."""
+
+    uav: int
+    tick: int  # steps of this UAV before it, as the process or the bag counts them
+    t_s: float  # after the epoch; negative before it
+    stamp_ns: int
+    field: str  # see Mismatch
+    recorded: str
+    computed: str
+    difference: float | None
+
+    def __str__(self) -> str:
+        by = "" if self.difference is None else f", difference {self.difference:.3g}"
+        return (
+            f"tick {self.tick} (t = {self.t_s:.3f} s), uav{self.uav}, {self.field}: "
+            f"recorded {self.recorded}, computed {self.computed}{by}"
+        )
+
+
+def of_numbers(field: str, recorded: float, computed: float) -> Mismatch:
+    """Two numbers that differ, with all their digits."""
+    return Mismatch(field, repr(recorded), repr(computed), computed - recorded)
+
+
+def of_texts(field: str, recorded: str | None, computed: str) -> Mismatch:
+    """Two values of /diagnostics, with their difference where they are numbers."""
+    if recorded is None:
+        return Mismatch(field, "nothing", computed)
+    try:
+        return Mismatch(field, recorded, computed, float(computed) - float(recorded))
+    except ValueError:
+        return Mismatch(field, recorded, computed)
+
+
+def of_messages(topic: str, recorded: bytes, computed: bytes) -> Mismatch:
+    """The first field of a message on `topic` that differs, or the first byte."""
+    decode, names = _FIELDS[topic]
+    try:
+        found, made = decode(recorded), decode(computed)
+    except WireError as error:
+        return Mismatch(topic, f"a message that cannot be read ({error})", "a message")
+    if found.stamp_ns != made.stamp_ns:
+        return Mismatch(f"{topic} header.stamp", str(found.stamp_ns), str(made.stamp_ns))
+    unequal = np.flatnonzero(found.values.view(np.int64) != made.values.view(np.int64))
+    if unequal.size:
+        k = int(unequal[0])
+        return of_numbers(f"{topic} {names[k]}", float(found.values[k]), float(made.values[k]))
+    size = min(len(recorded), len(computed))
+    pairs = zip(recorded[:size], computed[:size], strict=True)
+    at = next((k for k, (a, b) in enumerate(pairs) if a != b), size)
+    found_byte, made_byte = (
+        f"{data[at]:#04x}" if at < len(data) else f"nothing ({len(data)} bytes)"
+        for data in (recorded, computed)
+    )
+    return Mismatch(f"{topic} byte {at}", found_byte, made_byte)
+
 
 _SENSORS = ("own", "near")
-OUTPUTS = ("formation_state", "leader_estimate", "setpoint/velocity", "setpoint/wrench")
+_KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that are not made
+OUTPUTS = tuple(_FIELDS)
 
 
 class Gap(NamedTuple):
@@ -109,18 +263,14 @@ class UavReplay:
         self._scenario, self._fleet = scenario, fleet
         self._decided = decided
         self.account = Account()
-        self.inputs = source_topics(uav, self.senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
-        self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
-        self._plugins = plugins
-        self._edges = edges
-        self.controller = UavController(scenario, uav, edges, plugins)
-        self._put = _inbox_setters(self.controller.inbox)
+        self._recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
+        self._plugins, self._edges = plugins, edges
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
-        self.next_step: int | None = None  # number of the next step; None: a step was left out
-        self._held: dict[str, Stamped] = {}
         self._snapshot: SnapshotTemplate | None = None
+        self.next_step: int | None = None  # number of the next step; None: a step was left out
+        self.reset()
 
     def begin(self, snapshot: bytes | None) -> None:
         """The controller starts, or starts again; its limits are in its first snapshot."""
@@ -131,7 +281,7 @@ class UavReplay:
     def reset(self, limits: VehicleSpeedLimits | None = None) -> None:
         """Forget the state of the controller, because a step was left out; only a snapshot restores it."""
         self.next_step = None
-        self._held.clear()
+        self._held: dict[str, Stamped] = {}
         self.inputs = source_topics(self.uav, self.senders)
         self.controller = UavController(self._scenario, self.uav, self._edges, self._plugins)
         if limits is not None:
@@ -164,7 +314,11 @@ class UavReplay:
     def _decode_snapshot(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
         numbers = np.asarray(row.values, dtype=np.float64)
-        return decode_snapshot(row.label, numbers, like=_empty_state(self.controller.config))
+        level = np.zeros(ODOMETRY_SIZE)
+        level[6] = 1.0
+        # A state that has the shapes of all states.
+        like = Agent(self.controller.config, level).state
+        return decode_snapshot(row.label, numbers, like=like)
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message into the inbox."""
@@ -234,13 +388,10 @@ class UavReplay:
         buffers: Mapping[str, TopicBuffer],
         expected: int | None = None,
     ) -> Mismatch | None:
-        """The first output that differs.
+        """The first output that differs from the recorded messages in `buffers`.
 
-        Args:
-            outputs: the outputs of the step.
-            buffers: the recorded messages.
-            expected: number of messages with the stamp of this step, where it may be several; the last
-                ones may be missing at the end of the recording.
+        Where several may have the stamp of this step, `expected` is their number; the last ones may be missing at the
+        end of the recording.
         """
         own = self.controller.inbox.own
         if own is None:  # the step needed it
@@ -253,26 +404,31 @@ class UavReplay:
         self.account.unrecorded += len(OUTPUTS) * self.account.silent
         self.account.silent = 0
         made = self._encoder.all(own, outputs)
-        for name, found, computed in zip(OUTPUTS, recorded, made, strict=True):
+        for name, topic, found, computed in zip(OUTPUTS, self.outputs, recorded, made, strict=True):
+            buffer = buffers[topic]
             if len(computed) % 4:  # as DDS delivers it
                 computed += bytes(-len(computed) % 4)
             if computed in found:
                 self.account.compared += 1
-            elif not found or self._may_lack(buffers[f"/uav{self.uav}/{name}"], found, expected):
+            elif not found or (
+                expected is not None
+                and (len(found) < expected or found is buffer.at(buffer.newest_ns))
+            ):
                 self.account.unrecorded += 1
             else:
                 return of_messages(name, found[0], computed)
         return None
 
-    @staticmethod
-    def _may_lack(buffer: TopicBuffer, found: list[bytes], expected: int | None) -> bool:
-        if expected is None:
-            return False
-        return len(found) < expected or found is buffer.at(buffer.newest_ns)
+    def keep_counters(self, ticks: int, values: dict[str, str]) -> None:
+        """Keep the values of a recorded status until that many steps are made."""
+        kept = self._recorded_counters
+        kept.setdefault(ticks, []).append(values)
+        if len(kept) > _KEPT_STATUSES:
+            del kept[next(iter(kept))]
 
     def compare_counters(self) -> Mismatch | None:
         """The first counter of /diagnostics that differs at this number of steps."""
-        found = self.recorded_counters.pop(self.controller.counters.ticks, None)
+        found = self._recorded_counters.pop(self.controller.counters.ticks, None)
         if found is None:
             return None
         own = self.controller.counters.values()
@@ -313,10 +469,3 @@ def _inbox_setters(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
     estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.heard_estimators}
     own = {name: partial(setattr, inbox, name) for name in ("own", "near")}
     return {**own, **states, **estimates}
-
-
-def _empty_state(config: AgentConfig) -> AgentState:
-    """A state that has the shapes of all states."""
-    own = np.zeros(ODOMETRY_SIZE)
-    own[6] = 1.0
-    return Agent(config, own).state

@@ -197,7 +197,7 @@ def test_counts_are_read_from_the_diagnostics_of_bridges() -> None:
     counted = DiagnosticCounters(SampleFile())
     for array in statuses:
         counted.add(array)
-    found = counted.sent()
+    found = counted.sent.tracks()
     assert list(found) == [2]
     (block,) = found[2].blocks()
     assert block.t_ns.tolist() == [stamp, stamp + 20_000_000]
@@ -212,7 +212,7 @@ def test_numbers_that_no_bridge_sends_count_as_none(sent: str) -> None:
     counted = DiagnosticCounters(SampleFile())
     counted.add(array_of("bridge2: link", sent))
     counted.add(array_of(f"bridge{'2' * 5000}: link", "1 1"))
-    assert counted.sent() == {}
+    assert counted.sent.tracks() == {}
 
 
 def test_a_counter_that_is_no_number_counts_as_zero() -> None:
@@ -220,5 +220,5 @@ def test_a_counter_that_is_no_number_counts_as_zero() -> None:
     values = {"missed_ticks": "inf", "ticks": "nan", "holding_s": "1e999", "saturated_s": "2.5"}
     counted.add(Diagnostics(0, (DiagnosticStatus("uav1: planner", 0, "", values),)))
     counted.add(Diagnostics(0, (DiagnosticStatus(f"uav{'1' * 5000}: planner", 0, "", values),)))
-    (block,) = counted.counters()[1].blocks()
+    (block,) = counted.counters.tracks()[1].blocks()
     assert block.values.sum() == 2.5

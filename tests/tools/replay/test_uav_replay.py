@@ -12,7 +12,7 @@ from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.flying import fly, load
-from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
+from ptnsbc_tools.reading.bag_sources import scenario_of
 from ptnsbc_tools.replay.rerun import rerun
 
 LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
@@ -55,7 +55,7 @@ def test_without_the_file_nothing_is_executed(bag: Path) -> None:
     assert "consensus.py:consensus, which a bag does not carry: give it with --law" in err
     read = read_bag(bag)
     with pytest.raises(PluginError, match="a bag names a law and does not carry it"):
-        rerun(read, scenario_of(McapSource(read), None))
+        rerun(read, scenario_of(read, None))
 
 
 def test_the_verdict_needs_no_law(bag: Path) -> None:
