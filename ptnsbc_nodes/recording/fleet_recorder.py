@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
 
 from rclpy.node import Node
 
@@ -32,7 +31,6 @@ _OWN = re.compile(r"/uav(\d+)/odom")
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
 
 _NEVER = 2**63 - 1
-_NO_SILENCES: Mapping[str, Sequence[tuple[int, int]]] = MappingProxyType({})
 
 
 class Completeness:
@@ -46,9 +44,9 @@ class Completeness:
     def __init__(
         self,
         sources: Iterable[str],
-        silences: Mapping[str, Sequence[tuple[int, int]]] = _NO_SILENCES,
+        silences: Mapping[str, Sequence[tuple[int, int]]] | None = None,
     ) -> None:
-        self._silences = silences
+        self._silences = silences or {}
         self._newest = dict.fromkeys(sources, -1)
         self._gap: dict[str, int] = {}  # shortest time between two messages of a source
         self._bounds = dict(self._newest)  # up to which each source is complete
@@ -117,25 +115,11 @@ def _told(uav: int) -> tuple[str, ...]:
     return f"uav{uav}", *(topic.name for topic in topics.of_uav(uav)[2:])
 
 
-def _sender_of(diagnostics: bytes) -> str:
-    """The process that a message on /diagnostics is of; empty when it cannot be read."""
-    try:
-        statuses = wire.decode_diagnostics(diagnostics).statuses
-    except wire.WireError:
-        return ""
-    return statuses[0].name.partition(":")[0] if statuses else ""
-
-
 class RealTimeRecorder(BagRecorder):
     """Subscriptions of a node that log each message when it arrives.
 
-    Args:
-        node: its clock gives the log time.
-        writer: an open bag with all `recorded` topics and /tf; it stays open at `finish`.
-        recorded: what to record.
-        transforms: makes /tf.
-        draw: makes the markers, where no simulator does.
-        seal: of a fleet whose messages are sealed; a bag holds them without it.
+    The writer is an open bag with all `recorded` topics and /tf; it stays open at `finish`. `draw` makes the markers,
+    where no simulator does. A bag holds the messages of a sealed fleet without their `seal`.
     """
 
     def __init__(
@@ -218,7 +202,11 @@ class LockstepRecorder(BagRecorder):
             if source == topics.CLOCK.name:
                 self._clock_ns = max(self._clock_ns, last_ns)
             elif source == topics.DIAGNOSTICS.name:
-                source = _sender_of(data)
+                try:
+                    statuses = wire.decode_diagnostics(data).statuses
+                except wire.WireError:
+                    statuses = ()
+                source = statuses[0].name.partition(":")[0] if statuses else ""
             if self._completeness.add(source, last_ns):
                 self._on_complete()
             self._write_sorted(self._order.push(last_ns, topic.name, data))

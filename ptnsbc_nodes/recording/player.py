@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
-import rclpy
 import yaml
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
@@ -23,6 +20,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import wait_for_readers
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import CLOCK, Role, Topic
+from ptnsbc_nodes.recording.recorder import plain_node
 from ptnsbc_nodes.runtime.signals import StopRequest
 
 _LOOK_S = 0.05
@@ -68,19 +66,10 @@ def play(
     Raises:
         PlayError: no topic of it can be published, or it ends before `start_s`.
     """
-    context = Context()
-    with StopRequest() as stop:
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(
-            "player", context=context, start_parameter_services=False, enable_rosout=False
-        )
-        try:
-            player = _Player(node, bag, options, stop, say)
-            player.wait()
-            return player.play(advance)
-        finally:
-            node.destroy_node()
-            rclpy.shutdown(context=context)
+    with StopRequest() as stop, plain_node("player") as (node, _):
+        player = _Player(node, bag, options, stop, say)
+        player.wait()
+        return player.play(advance)
 
 
 class _Player:
@@ -180,20 +169,17 @@ def _publishers(
 
 def profile(topic: BagTopic) -> QoSProfile:
     """The profile that the publishers of a recorded topic offered; reliable where the bag does not say."""
-    found = _offered(topic.offered_qos)
+    try:
+        offered = yaml.safe_load(
+            topic.offered_qos
+        )  # words since version 9 of rosbag2, numbers before
+    except yaml.YAMLError:
+        offered = None
+    first = offered[0] if isinstance(offered, list) and offered else None
+    found: Mapping[str, Any] = first if isinstance(first, dict) else {}
     reliable = str(found.get("reliability", "reliable")).lower() in ("reliable", "1")
     latched = str(found.get("durability", "volatile")).lower() in ("transient_local", "1")
     depth = int(found.get("depth", 0) or 0)
     if reliable and not latched:
         depth = max(depth, _HISTORY)
     return keep_last(max(depth, 1), reliable=reliable, latched=latched)
-
-
-def _offered(text: str) -> Mapping[str, Any]:
-    """The first profile of rosbag2's YAML: words since version 9, numbers before."""
-    try:
-        profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
-        return {}
-    first = profiles[0] if isinstance(profiles, list) and profiles else {}
-    return first if isinstance(first, dict) else {}

@@ -33,7 +33,7 @@ from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
-from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor, ros_errors
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.runtime.signals import StopRequest
 
@@ -115,18 +115,17 @@ class BagRecorder:
 
     def flush_regularly(self) -> None:
         """Write to the disk by wall time."""
+
+        def flush() -> None:
+            self._writer.flush_if_due(time.monotonic())
+
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(_FLUSH_CHECK_S, self._flush, clock=steady)
+        self._node.create_timer(_FLUSH_CHECK_S, flush, clock=steady)
 
     def on_arrival(
         self, topic: Topic, derived: Sequence[tuple[str, Derive]] = ()
     ) -> Callable[[bytes], None]:
-        """A callback that writes a message at the time of its arrival.
-
-        Args:
-            topic: Of the message.
-            derived: Further topics, and what makes their messages out of this one.
-        """
+        """A callback that writes a message at the time of its arrival, and the topics `derived` of it."""
 
         def record(data: bytes) -> None:
             self.received += 1
@@ -162,23 +161,26 @@ class BagRecorder:
             **more,
         }
 
-    def _flush(self) -> None:
-        self._writer.flush_if_due(time.monotonic())
-
 
 @contextmanager
-def recorder_node(context: Context, name: str) -> Iterator[tuple[Node, Executor]]:
-    """A node with nothing but subscriptions, and its executor."""
-    node = rclpy.create_node(
-        name, context=context, start_parameter_services=False, enable_rosout=False
-    )
-    executor = make_executor(context)
-    executor.add_node(node)
+def plain_node(name: str, argv: Sequence[str] = ()) -> Iterator[tuple[Node, Executor]]:
+    """A node without services, in a context of its own, and its executor; `argv` is for ROS."""
+    context = Context()
+    with ros_errors():
+        rclpy.init(args=list(argv), context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        yield node, executor
+        node = rclpy.create_node(
+            name, context=context, start_parameter_services=False, enable_rosout=False
+        )
+        executor = make_executor(context)
+        executor.add_node(node)
+        try:
+            yield node, executor
+        finally:
+            executor.shutdown()
+            node.destroy_node()
     finally:
-        executor.shutdown()
-        node.destroy_node()
+        rclpy.try_shutdown(context=context)
 
 
 def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicInfo:
@@ -213,16 +215,10 @@ def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
 
 
 OURS = (
-    *("/uav*/" + name for name in ("odom", "near", "formation_state", "leader_estimate")),
-    *("/uav*/" + name for name in ("setpoint/*", "tick", "snapshot")),
-    *(
-        "/formation/epoch",
-        "/formation/slots",
-        "/formation/markers",
-        "/diagnostics",
-        "/clock",
-        "/tf",
-    ),
+    *("/uav*/odom", "/uav*/near", "/uav*/formation_state", "/uav*/leader_estimate"),
+    *("/uav*/setpoint/*", "/uav*/tick", "/uav*/snapshot"),
+    *("/formation/epoch", "/formation/slots", "/formation/markers"),
+    *("/diagnostics", "/clock", "/tf"),
 )
 """Topics of a flight, as patterns."""
 
@@ -256,19 +252,7 @@ def record(options: RecordOptions, say: Callable[[str], None]) -> Mapping[str, A
         BagError: the bag cannot be written.
         RecordError: not one message came.
     """
-    context = Context()
-    with StopRequest() as stop:
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            return _record(context, options, stop, say)
-        finally:
-            rclpy.shutdown(context=context)
-
-
-def _record(
-    context: Context, options: RecordOptions, stop: StopRequest, say: Callable[[str], None]
-) -> Mapping[str, Any]:
-    with recorder_node(context, "record") as (node, executor):
+    with StopRequest() as stop, plain_node("record") as (node, executor):
         with BagWriter(
             options.bag,
             [],
@@ -291,13 +275,9 @@ def _record(
 
 
 class TopicRecorder(BagRecorder):
-    """Subscriptions of `node` that write into an open `writer`.
+    """Subscriptions of `node` that write into an open `writer` topics of some `patterns`, as in a shell: `*` and `?`.
 
-    Args:
-        node: Its clock gives the log time.
-        writer: An open bag; topics are added to it.
-        patterns: Which topics, as in a shell: `*` and `?`.
-        say: Gets a line for each topic that cannot be recorded.
+    `say` gets a line for each topic that cannot be recorded.
     """
 
     def __init__(
@@ -332,21 +312,19 @@ class TopicRecorder(BagRecorder):
         except (BagError, ImportError, AttributeError) as error:
             self._say(f"{topic.name} is left out: {error}")
             return
-        record = self.on_arrival(topic, self._derived(topic))
+        derived: list[tuple[str, Derive]] = []
+        own = _OWN_ODOMETRY.fullmatch(topic.name)
+        if own and topic.type == topics.odom(1).type and topics.TF.name not in self._known:
+            self._writer.add(self._tf)
+            transforms = Transforms([int(own[1])])
+
+            def transform(name: str, data: bytes) -> bytes | None:
+                """Until a process is known to publish /tf."""
+                made = transforms.of(name, data)
+                return None if topics.TF.name in self._known else made
+
+            derived.append((topics.TF.name, transform))
+        record = self.on_arrival(topic, derived)
         self.subscribe(
             topic, topic.name, record, qos.keep_last(_QUEUE, reliable=reliable, latched=latched)
         )
-
-    def _derived(self, topic: Topic) -> list[tuple[str, Derive]]:
-        """/tf out of the odometry of a UAV, as long as no process is known to publish /tf."""
-        own = _OWN_ODOMETRY.fullmatch(topic.name)
-        if not own or topic.type != topics.odom(1).type or topics.TF.name in self._known:
-            return []
-        self._writer.add(self._tf)
-        transforms = Transforms([int(own[1])])
-
-        def transform(name: str, data: bytes) -> bytes | None:
-            made = transforms.of(name, data)
-            return None if topics.TF.name in self._known else made
-
-        return [(topics.TF.name, transform)]

@@ -11,15 +11,9 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
-
-if TYPE_CHECKING:
-    from rclpy.context import Context
-
-    from ptnsbc_nodes.recording.recorder import Derive
 
 _FAILED = 1
 _DRAIN_LIMIT_S = 50.0  # under load the queues hold seconds, and the launcher waits a minute
@@ -34,37 +28,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(options: argparse.Namespace, argv: list[str]) -> int:
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.signals import SignalHandlerOptions
-
-    from ptnsbc_nodes.runtime.node_process import ros_errors
-
-    context = Context()
-    with StopRequest() as stop:
-        with ros_errors():
-            rclpy.init(args=argv, context=context, signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            _record(context, options, stop)
-        except PtnsbcError as error:
-            print(f"recorder: {error}", file=sys.stderr)
-            return _FAILED
-        finally:
-            rclpy.try_shutdown(context=context)
-    return 0
-
-
-def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> None:
-    from ptnsbc_io.bag import BagWriter
+    from ptnsbc_io.bag import BagError, BagWriter
     from ptnsbc_nodes.comm import topics
     from ptnsbc_nodes.comm.agent_messages import Transforms
     from ptnsbc_nodes.comm.seal import required_seal
     from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
-    from ptnsbc_nodes.recording.recorder import BagRecorder, recorder_node, topic_info
+    from ptnsbc_nodes.recording.recorder import BagRecorder, plain_node, topic_info
     from ptnsbc_nodes.runtime.launcher import report_running
     from ptnsbc_nodes.runtime.node_process import report_finished
 
-    draw = _drawing(options.draw)
+    def attached(name: str, path: str) -> bytes:
+        try:
+            return Path(path).read_bytes()
+        except OSError as error:
+            raise BagError(f"--attach {name}={path}: {error.strerror}: expected a file") from error
+
+    draw = None  # markers, where no simulator draws them
+    if options.draw is not None:
+        from ptnsbc_nodes.comm.drawing import OdometryMarkers
+        from ptnsbc_sim.scenario import load_scenario
+
+        draw = OdometryMarkers(load_scenario(options.draw, {})).of
     kinds = {
         "lockstep": options.lockstep,
         "with_truth": options.truth,
@@ -72,50 +56,37 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
         "with_stream": options.stream,
     }
     every = topics.in_bag(options.uavs, **kinds)
-    with recorder_node(context, "recorder") as (node, executor):
-        with BagWriter(
-            options.bag,
-            [topic_info(topic, lockstep=options.lockstep) for topic in every],
-            attachments={name: _content(name, path) for name, path in options.attach},
-            metadata=dict(options.meta),
-            overwrite=options.overwrite,
-        ) as writer:
-            recorded, transforms = topics.recorded(options.uavs, **kinds), Transforms(options.uavs)
-            seal = required_seal() if options.signed else None
-            recorder: BagRecorder
-            if options.lockstep:
-                recorder = LockstepRecorder(
-                    node, writer, recorded, transforms, seal, options.silent
-                )
-            else:
-                recorder = RealTimeRecorder(node, writer, recorded, transforms, draw, seal)
-            print("ready", file=sys.stderr, flush=True)
-            report_running()
-            recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
-            recorder.finish()
+    with StopRequest() as stop, plain_node("recorder", argv) as (node, executor):
+        try:
+            with BagWriter(
+                options.bag,
+                [topic_info(topic, lockstep=options.lockstep) for topic in every],
+                attachments={name: attached(name, path) for name, path in options.attach},
+                metadata=dict(options.meta),
+                overwrite=options.overwrite,
+            ) as writer:
+                recorded = topics.recorded(options.uavs, **kinds)
+                transforms = Transforms(options.uavs)
+                seal = required_seal() if options.signed else None
+                recorder: BagRecorder
+                if options.lockstep:
+                    recorder = LockstepRecorder(
+                        node, writer, recorded, transforms, seal, options.silent
+                    )
+                else:
+                    recorder = RealTimeRecorder(node, writer, recorded, transforms, draw, seal)
+                print("ready", file=sys.stderr, flush=True)
+                report_running()
+                recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
+                recorder.finish()
+        except PtnsbcError as error:
+            print(f"recorder: {error}", file=sys.stderr)
+            return _FAILED
         # Before the middleware is shut down: that does not always return.
         summary = json.dumps(recorder.summary(late=recorder.late, lost=recorder.lost))
         print(summary, flush=True)
         report_finished(summary)
-
-
-def _drawing(scenario_file: str | None) -> Derive | None:
-    """The function that makes /formation/markers of odometry; None where nothing is drawn."""
-    if scenario_file is None:
-        return None
-    from ptnsbc_nodes.comm.drawing import OdometryMarkers
-    from ptnsbc_sim.scenario import load_scenario
-
-    return OdometryMarkers(load_scenario(scenario_file, {})).of
-
-
-def _content(name: str, path: str) -> bytes:
-    from ptnsbc_io.bag import BagError
-
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise BagError(f"--attach {name}={path}: {error.strerror}: expected a file") from error
+    return 0
 
 
 def _pair(text: str) -> tuple[str, str]:
