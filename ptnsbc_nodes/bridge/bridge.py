@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import MavlinkLink
+from ptnsbc_io.mavlink.link import MavlinkLink, Signer
+from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.companions import ON_GROUND_M, Placement
@@ -26,6 +29,7 @@ from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle_monitor import TRUTH_MESSAGES, VEHICLE_MESSAGES, VehicleMonitor
 from ptnsbc_nodes.emergency.orders import APART
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.mavlink import VehicleLink
 
 WANTED_MESSAGES = frozenset(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
@@ -36,6 +40,12 @@ _DUPLICATE_S = 3.0
 _HELD_S = 2.0  # statuses come five times a second
 _LEAST_AGES_S = 0.8  # the procedure waits for fresh setpoints for 1 s
 _APART_M = 0.4  # from the height of its layer
+
+
+def open_link(settings: VehicleLink, key: str) -> MavlinkLink:
+    """The link to a vehicle; `key`: path of the key file for signing, empty without one."""
+    signer = Signer(read_key(Path(key))) if key else None
+    return MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
 
 
 class Bridge:
@@ -70,11 +80,11 @@ class Bridge:
             scenario, uav_id, ports, self.state_publisher, self.stream, alone=alone
         )
         away_s = AWAY_S if scenario.formation.reconfigures and not alone else 0.0
-        height_m, log = scenario.mavlink.takeoff_height_m, ports.outputs.log
+        height_m, log = scenario.mavlink.takeoff_height_m, ports.log
         self.procedure = Procedure(autopilot, height_m, allow_arming, log, away_s)
         self._told_apart = False
         self._fitted = False  # whether the delay of the link has been compared with the gains
-        self._next_s = ports.clocks.steady_s()
+        self._next_s = ports.steady_s()
 
     @property
     def link(self) -> MavlinkLink:
@@ -105,19 +115,19 @@ class Bridge:
 
     def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
-        return self.watch.reference.flight_s(self.ports.clocks.ros_ns())
+        return self.watch.reference.flight_s(self.ports.ros_ns())
 
     def wait_and_serve(self) -> None:
         """Wait for the next message or the next tick, and do what is due."""
         period_s = 1.0 / self._mavlink.rate_hz
-        self.link.wait(min(self._next_s - self.ports.clocks.steady_s(), period_s))
+        self.link.wait(min(self._next_s - self.ports.steady_s(), period_s))
         self.serve()
 
     def serve(self) -> None:
         """Take in what has arrived, and do what is due by now."""
-        for message in self.link.poll(self.ports.clocks.steady_s()):
-            self._on_message(message, self.ports.clocks.steady_s())
-        now_s = self.ports.clocks.steady_s()
+        for message in self.link.poll(self.ports.steady_s()):
+            self._on_message(message, self.ports.steady_s())
+        now_s = self.ports.steady_s()
         if now_s >= self._next_s:
             # A late tick is not made up for: two setpoints at once are worth one.
             period_s = 1.0 / self._mavlink.rate_hz
@@ -144,7 +154,7 @@ class Bridge:
 
     def _log(self, line: str) -> None:
         if line:
-            self.ports.outputs.log(line)
+            self.ports.log(line)
 
     def _tick(self, now_s: float) -> None:
         """One period of the stream."""
@@ -164,7 +174,7 @@ class Bridge:
         self._fit_to_link()
         output = procedure.advance(self.snapshot(now_s))
         if procedure.gave_up and not self._told_apart:  # at once: it may land in the same tick
-            self.ports.outputs.apart()
+            self.ports.apart()
             self._told_apart = True
         failsafe = procedure.step is Step.FAILSAFE
         publisher.report_presence(output.in_formation and not failsafe)
@@ -192,7 +202,7 @@ class Bridge:
         for line in findings(self.vehicle.autopilot, values, self._mavlink.rate_hz):
             self._log(line)
         self.stream.take_parameters(values)
-        self.ports.outputs.limits(self.stream.guard.limits)
+        self.ports.limits(self.stream.guard.limits)
         if not self._alone:
             self._log(self.stream.fit_to_vehicle())
 
@@ -209,7 +219,7 @@ class Bridge:
         """Everything by which the procedure decides."""
         vehicle, publisher, inputs = self.vehicle, self.state_publisher, self.ports.inputs
         placement, maintenance, step = self.placement, self.maintenance, self.procedure.step
-        odometry, now_ns = publisher.odometry, self.ports.clocks.ros_ns()
+        odometry, now_ns = publisher.odometry, self.ports.ros_ns()
         leg, leaves = self.watch.reference.leg(now_ns), self.watch.reference.leaves(now_ns)
         order, told_apart = inputs.order, inputs.order.what == APART
         rival_s, percent = self.link.duplicate_sysid_s, self._mavlink.battery_land_percent

@@ -24,9 +24,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
-    from ptnsbc_nodes.bridge.process import run_bridge
+    from ptnsbc_nodes.bridge.process import BridgeError, serve_bridge
 
-    return run_bridge(arguments, argv)
+    given = {
+        "scenario": arguments.scenario,
+        "uav": arguments.uav,
+        "recorded": arguments.recorded,
+        "signing_key": str(arguments.signing_key or ""),
+        "allow_arming": arguments.allow_arming,
+    }
+    if arguments.connect is not None:
+        if arguments.uav is None:
+            raise BridgeError(f"--connect {arguments.connect}: expected --uav N as well")
+        given[f"mavlink.vehicles.{arguments.uav}.connect"] = arguments.connect
+    return serve_bridge(given, argv, managed=arguments.managed)
 
 
 if __name__ == "__main__":

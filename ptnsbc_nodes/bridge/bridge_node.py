@@ -34,10 +34,11 @@ from ptnsbc_io.wire import (
 )
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
-from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion, new_record
+from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion
+from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
@@ -79,13 +80,14 @@ class BridgeOptions(NamedTuple):
     """Path of the key file: `ptnsbc stop` reaches the vehicle with it when this process is dead."""
 
 
-class TopicOutputs(BridgeOutputs):
-    """The words of a bridge to others, as topics and as lines on stderr (`BridgeOutputs`)."""
+class TopicPorts(BridgePorts):
+    """The words of a bridge to others, as topics and as lines on stderr."""
 
     def __init__(
-        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, recorders: int
+        self, node: Node, endpoints: Endpoints, scenario: Scenario, uav_id: int, recorders: int
     ) -> None:
         publisher = endpoints.publisher
+        super().__init__(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
         self._uav_id = uav_id
         self._odometry = OdometryTemplate(WORLD_FRAME, body_frame(uav_id, endpoints.fleet))
         self._send_odom = publisher(topics.odom(uav_id), 1 + recorders)
@@ -125,11 +127,9 @@ class TopicOutputs(BridgeOutputs):
         self.log(f"planner: at most {speed:g} m/s, {acceleration:g} m/s^2")
         self._send_limits(vehicle_messages.encode_limits(planner))
 
-    def battery(self, stamp_ns: int, bridge: Bridge) -> None:
-        """The battery of the vehicle, once it is known."""
-        battery = bridge.vehicle.battery.newest
-        if battery is not None:
-            self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))
+    def battery(self, battery: Battery) -> None:
+        """The battery of the vehicle."""
+        self._send_battery(vehicle_messages.encode_battery(self.ros_ns(), *battery))
 
     def lost(self) -> None:
         """This vehicle has left the formation."""
@@ -150,30 +150,32 @@ class OrderDesk:
     def __init__(
         self, endpoints: Endpoints, scenario: Scenario, uav_id: int, bridge: Bridge, key: str
     ) -> None:
-        self._inputs, self._log = bridge.ports.inputs, bridge.ports.outputs.log
+        self._ports = bridge.ports
         self._folder: Path | None = None
         self._port: OrderPort | None = None
-        record = new_record(scenario, uav_id, key)
         try:
             self._folder = runtime_folder(named_domain(), endpoints.fleet)
-            self.record = RecordKeeper(bridge, record, self._folder)
-            self._port = OrderPort(self._folder, record.name, self.on_order, self.record.encode)
+            self.record = RecordKeeper(bridge, scenario, uav_id, key, self._folder)
+            self._port = OrderPort(
+                self._folder, self.record.name, self.on_order, self.record.encode
+            )
             held = latched(self._folder)
         except RuntimeFolderError as error:
-            self._log(f"warning: no local path for ptnsbc stop: {error}")
-            self.record, held = RecordKeeper(bridge, record, self._folder), Order()
+            self._ports.log(f"warning: no local path for ptnsbc stop: {error}")
+            self.record = RecordKeeper(bridge, scenario, uav_id, key, self._folder)
+            held = Order()
         if held.what:  # an order that still holds from before
             bridge.procedure.fail(
                 f"the operator's order {held.text!r} still holds: ptnsbc stop --clear releases it"
             )
-            self._inputs.take(held)
+            self._ports.inputs.take(held)
         self.record.keep()
         endpoints.listen(topics.EMERGENCY, decode_order, self.on_order, required=False)
 
     def on_order(self, order: Order) -> None:
         """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
-        if self._inputs.take(order):
-            self._log(f"emergency: {order.text}")
+        if self._ports.inputs.take(order):
+            self._ports.log(f"emergency: {order.text}")
             if self._folder is not None and order.what != APART:
                 with suppress(OSError):
                     latch(self._folder, order)
@@ -194,7 +196,7 @@ class FleetReports:
     def __init__(
         self, endpoints: Endpoints, scenario: Scenario, uav_id: int, ports: BridgePorts
     ) -> None:
-        self._endpoints, self._inputs, self._clocks = endpoints, ports.inputs, ports.clocks
+        self._endpoints, self._ports = endpoints, ports
         self._planner = f"uav{uav_id}: planner"
         self._numbers = frozenset(map(str, scenario.uav_ids))
         profile = keep_last(20, reliable=True)
@@ -212,7 +214,7 @@ class FleetReports:
         return decode_diagnostics(data) if wanted else None
 
     def _on_diagnostics(self, array: Diagnostics | None) -> None:
-        inputs, now_s = self._inputs, self._clocks.steady_s()
+        inputs, now_s = self._ports.inputs, self._ports.steady_s()
         for status in array.statuses if array is not None else ():
             name, values = status.name, status.values
             if name == self._planner:
@@ -255,7 +257,7 @@ class NearPublisher:
         self._next_s = now_s + self._period_s
         bridge.ports.inputs.near_uavs = self._objects.uavs(now_s)
         rows = self._objects.rows(now_s, odometry[0:3], bridge.flight_s())
-        self._send(encode_near(bridge.ports.clocks.ros_ns(), WORLD_FRAME, rows))
+        self._send(encode_near(bridge.ports.ros_ns(), WORLD_FRAME, rows))
 
 
 class BridgeNode:
@@ -277,9 +279,7 @@ class BridgeNode:
         self.node, self._name, self._on_end = node, f"bridge{uav_id}", on_end
         self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
         recorders = edges.options.recorders
-        self._outputs = TopicOutputs(self.endpoints, scenario, uav_id, recorders)
-        clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
-        ports = BridgePorts(BridgeInputs(), self._outputs, clocks)
+        self._ports = ports = TopicPorts(node, self.endpoints, scenario, uav_id, recorders)
         awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = NearPublisher(self.endpoints, scenario, uav_id, edges)
@@ -373,8 +373,9 @@ class BridgeNode:
         if procedure.ready:
             self._reports.close()
         if procedure.step is Step.APART:
-            self._outputs.apart()  # again, for a bridge that has just met this one
-        self._outputs.battery(self.bridge.ports.clocks.ros_ns(), self.bridge)
+            self._ports.apart()  # again, for a bridge that has just met this one
+        if (battery := self.bridge.vehicle.battery.newest) is not None:
+            self._ports.battery(battery)
         self._publish_status()
 
     def _publish_status(self) -> None:

@@ -42,47 +42,28 @@ class Commands:
 
     def message(self, request: CommandRequest, takeoff_height_m: float) -> Any:
         """The command for a request of the procedure."""
+        autopilot = self._autopilot
         match request:
-            case CommandRequest.OWN_MODE:
-                return self.own_mode()
-            case CommandRequest.ARM:
-                return self.arm()
-            case CommandRequest.DISARM | CommandRequest.KILL:
-                return self.disarm(force=request is CommandRequest.KILL)
-            case CommandRequest.TAKEOFF:
-                return self.take_off(takeoff_height_m)
+            case CommandRequest.OWN_MODE:  # OFFBOARD of PX4, GUIDED of the others
+                if not autopilot.attitude_only:
+                    return self._mode(FlightMode.OWN, autopilot.own_mode)
+                base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
+                return self._long(mavlink.MAV_CMD_DO_SET_MODE, autopilot.own_mode, base)
+            case CommandRequest.ARM:  # a PX4 must be in OFFBOARD
+                return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", 1.0)
+            case CommandRequest.DISARM:  # on the ground
+                return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", 0.0, 0.0)
+            case CommandRequest.KILL:  # in the air as well
+                return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", 0.0, _FORCE)
+            case CommandRequest.TAKEOFF:  # of vehicles that do not climb by setpoints
+                place = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
+                return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", *place)
             case CommandRequest.LAND:
-                return self.land()
-
-    def arm(self) -> Any:
-        """The motors start; a PX4 must be in OFFBOARD."""
-        return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", 1.0)
-
-    def disarm(self, *, force: bool) -> Any:
-        """The motors stop; without `force` only on the ground."""
-        return self._long(
-            mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", 0.0, _FORCE if force else 0.0
-        )
-
-    def own_mode(self) -> Any:
-        """The mode in which the vehicle follows setpoints: OFFBOARD of PX4, GUIDED of the others."""
-        name = self._autopilot.own_mode
-        if self._autopilot.attitude_only:
-            base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
-            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, base)
-        return self._mode(FlightMode.OWN, name)
-
-    def take_off(self, height_m: float) -> Any:
-        """Climb to a height above the ground, for vehicles that do not climb by setpoints."""
-        command = mavlink.MAV_CMD_NAV_TAKEOFF
-        return self._long(command, "take off", 0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, height_m)
-
-    def land(self) -> Any:
-        """By mode and by command in turn: every autopilot understands one of the two."""
-        self._landings += 1
-        if self._autopilot.attitude_only or self._landings % 2 == 0:
-            return self._long(mavlink.MAV_CMD_NAV_LAND, "land", 0.0, 0.0, 0.0, _NO_YAW)
-        return self._mode(FlightMode.LAND, "land")
+                # By mode and by command in turn: every autopilot understands one of the two.
+                self._landings += 1
+                if autopilot.attitude_only or self._landings % 2 == 0:
+                    return self._long(mavlink.MAV_CMD_NAV_LAND, "land", 0.0, 0.0, 0.0, _NO_YAW)
+                return self._mode(FlightMode.LAND, "land")
 
     def leave_own_mode(self) -> Any:
         """After landing: leave the own mode, in which PX4 would arm at once the next time."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -21,13 +21,11 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.timebase import Clock, h, loop_gain, plan_duration
 from ptnsbc_core.types import Array, LoopGain
-from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, VelocityResponse
-from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-from ptnsbc_io.mavlink.transport import connect
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import HeaderFields, VelocityTemplate
-from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks, Log
+from ptnsbc_nodes.bridge.bridge import Bridge, open_link
+from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     PLANNER_DELAY_S,
@@ -35,7 +33,7 @@ from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     inverse,
     largest_kappa_1_s,
 )
-from ptnsbc_nodes.bridge.status import RecordKeeper, new_record
+from ptnsbc_nodes.bridge.status import RecordKeeper
 from ptnsbc_nodes.comm.legs import FIRST_LEG
 from ptnsbc_nodes.emergency.orders import LAND, Order, OrderPort, latched, runtime_folder
 from ptnsbc_nodes.runtime import environment
@@ -133,17 +131,16 @@ class Excitation:
         Raises:
             TuneError: the vehicle moved too much by itself.
         """
-        return [_point(tone, sent, flown) for tone in self.tones]
-
-
-def _point(tone: Tone, sent: Array, flown: Array) -> FrequencyPoint:
-    (given, _), (made, rest_m_s) = _phasor(tone, sent), _phasor(tone, flown)
-    if rest_m_s > _NOISE * abs(made):
-        raise TuneError(
-            f"at {tone.hertz:g} Hz the vehicle flew {abs(made):.2f} m/s, and {rest_m_s:.2f} m/s that were not asked "
-            f"for: expected at most {_NOISE:.0%}; fly in less wind, or with a larger --box"
-        )
-    return FrequencyPoint(tone.hertz, made / given)
+        points = []
+        for tone in self.tones:
+            (asked, _), (flew, rest_m_s) = _phasor(tone, sent), _phasor(tone, flown)
+            if rest_m_s > _NOISE * abs(flew):
+                raise TuneError(
+                    f"at {tone.hertz:g} Hz the vehicle flew {abs(flew):.2f} m/s, and {rest_m_s:.2f} m/s that were not "
+                    f"asked for: expected at most {_NOISE:.0%}; fly in less wind, or with a larger --box"
+                )
+            points.append(FrequencyPoint(tone.hertz, flew / asked))
+        return points
 
 
 def _phasor(tone: Tone, rows: Array) -> tuple[complex, float]:
@@ -196,10 +193,7 @@ def identified(
 ) -> Identified:
     """Gain of the loop, lag of the tilt and drag with which a vehicle of these parameters shows these responses.
 
-    Args:
-        response: the velocity loop by the vehicle's parameters.
-        points: what was measured.
-        delay_s: known delay between setpoint and vehicle.
+    `response` is its velocity loop by its parameters, `delay_s` the known delay between setpoint and vehicle.
 
     Raises:
         TuneError: no such numbers explain what was measured.
@@ -325,7 +319,7 @@ _BEGIN_NS = 500_000_000
 _WAIT_S = 0.005
 
 
-class HoverTest(BridgeOutputs):
+class HoverTest(BridgePorts):
     """One bridge, and the velocities that it flies instead of those of a UAV process."""
 
     def __init__(
@@ -333,8 +327,9 @@ class HoverTest(BridgeOutputs):
         scenario: Scenario,
         uav_id: int,
         link: MavlinkLink,
-        clocks: Clocks,
-        log: Log,
+        steady_s: Callable[[], float],
+        ros_ns: Callable[[], int],
+        log: Callable[[str], None],
         *,
         allow_arming: bool,
         box_m: float,
@@ -350,17 +345,18 @@ class HoverTest(BridgeOutputs):
                 f"mavlink.vehicles.{uav_id}: {settings.autopilot} by {settings.setpoint}: expected setpoint: velocity; "
                 "thrust and delay of vehicles that fly by attitude are found in flight (docs/tuning.md)"
             )
-        self._print, self._clocks = log, clocks
+        super().__init__(steady_s, ros_ns)
+        self._print = log
         self._excitation = Excitation(box_m)
         self._setpoint = VelocityTemplate("map")
         self._period_s = 1.0 / scenario.mavlink.rate_hz
-        self.inputs = BridgeInputs(controller_ready=True)
+        self.inputs.controller_ready = True
         bare = {"mavlink.acceleration_feed_forward": False}  # the vehicle itself is tested
         self.bridge = Bridge(
             scenario_from_text(scenario.text, bare, source=scenario.source),
             uav_id,
             link,
-            BridgePorts(self.inputs, self, clocks),
+            self,
             allow_arming,
             alone=True,
         )
@@ -390,9 +386,9 @@ class HoverTest(BridgeOutputs):
         procedure = self.bridge.procedure
         if procedure.ready and not self._announced:
             self._announced = True
-            self.inputs.legs.append(HeaderFields(self._clocks.ros_ns() + _BEGIN_NS, FIRST_LEG))
+            self.inputs.legs.append(HeaderFields(self.ros_ns() + _BEGIN_NS, FIRST_LEG))
         self.bridge.serve()
-        flown_s = self._clocks.steady_s() - self._begin_s
+        flown_s = self.steady_s() - self._begin_s
         if procedure.step is Step.FLY and self._middle is not None:
             if flown_s > self._excitation.end_s and not self._complete:
                 self._complete = True
@@ -404,7 +400,7 @@ class HoverTest(BridgeOutputs):
 
     def odom(self, stamp_ns: int, odometry: Array) -> None:
         """Answer a state with the velocity of now, as a UAV process does."""
-        now_s, velocity = self._clocks.steady_s(), np.zeros(3)
+        now_s, velocity = self.steady_s(), np.zeros(3)
         if self.bridge.procedure.step is Step.FLY and not (self._complete or self._problem):
             if self._middle is None:
                 self._middle, self._begin_s = odometry[0:3].copy(), now_s
@@ -467,17 +463,18 @@ class HoverTest(BridgeOutputs):
 
 
 def fly_hover_test(
-    scenario: Scenario, uav: int, key: Path | None, log: Log, *, allow_arming: bool, box_m: float
+    scenario: Scenario,
+    uav: int,
+    key: Path | None,
+    log: Callable[[str], None],
+    *,
+    allow_arming: bool,
+    box_m: float,
 ) -> Identified:
     """Fly one vehicle and identify it; the first signal lands it, the second one ends this at once.
 
-    Args:
-        scenario: the fleet of the vehicle, overrides applied.
-        uav: id of its UAV.
-        key: key file for signing, instead of the scenario's.
-        log: takes lines for the operator.
-        allow_arming: whether it may arm; otherwise a pilot arms.
-        box_m: side of the box that the vehicle must not leave [m].
+    `key` is a key file instead of the scenario's; without `allow_arming` a pilot arms; `box_m` is the side of the box
+    that the vehicle must not leave.
 
     Raises:
         TuneError: no result, with the reason.
@@ -489,15 +486,12 @@ def fly_hover_test(
         )
     settings = scenario.vehicle_link(uav)
     path = str(key or settings.signing_key or "")
-    signer = Signer(read_key(Path(path))) if path else None
-    clocks = Clocks(time.monotonic, time.time_ns)
-    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
-    with closing(link):
-        test = HoverTest(scenario, uav, link, clocks, log, allow_arming=allow_arming, box_m=box_m)
+    with closing(open_link(settings, path)) as link:
+        clocks = time.monotonic, time.time_ns
+        test = HoverTest(scenario, uav, link, *clocks, log, allow_arming=allow_arming, box_m=box_m)
         environment.prefer_punctuality()
-        record = new_record(scenario, uav, str(Path(path).resolve()) if path else "")
-        keeper = RecordKeeper(test.bridge, record, folder)
-        port = OrderPort(folder, record.name, test.inputs.take, keeper.encode)
+        keeper = RecordKeeper(test.bridge, scenario, uav, path, folder)
+        port = OrderPort(folder, keeper.name, test.inputs.take, keeper.encode)
         try:
             with StopRequest() as request:
                 while not test.over:

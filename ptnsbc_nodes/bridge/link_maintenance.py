@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, fate, refusal
@@ -70,17 +70,6 @@ class LinkMaintenance:
             ignored.add(mavlink.MAVLINK_MSG_ID_ATTITUDE)
         self.link.ignored = frozenset(ignored)
 
-    def send_due(self, now_s: float, healthy: bool, clock_jumped: bool) -> None:
-        """Send what is due now.
-
-        Args:
-            now_s: steady clock.
-            healthy: a companion that has failed sends no heartbeat.
-            clock_jumped: the vehicle's clock does not fit ours: the time is asked for more often.
-        """
-        for message in self._due_messages(now_s, healthy, clock_jumped):
-            self.link.send(message)
-
     def on_message(self, message: Any, now_s: float) -> None:
         """TIMESYNC, PARAM_VALUE and COMMAND_ACK; a question of the vehicle is answered."""
         kind = message.get_type()
@@ -103,32 +92,32 @@ class LinkMaintenance:
         self._next_s[what] = now_s + period_s
         return True
 
-    def _due_messages(self, now_s: float, healthy: bool, clock_jumped: bool) -> Iterator[Any]:
+    def send_due(self, now_s: float, healthy: bool, clock_jumped: bool) -> None:
+        """Send what is due now: no heartbeat of a companion that failed, and more questions for a clock that jumped."""
+        send = self.link.send
         vehicle = self._vehicle
         if healthy and self._is_due("heartbeat", now_s, _HEARTBEAT_S):
-            yield mavlink.MAVLink_heartbeat_message(
-                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-                mavlink.MAV_AUTOPILOT_INVALID,
-                0,
-                0,
-                mavlink.MAV_STATE_ACTIVE,
-                3,
-            )
+            kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+            state = mavlink.MAV_STATE_ACTIVE
+            send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
         if vehicle.heartbeat_s is None and not vehicle.unconfirmed:
             return
         fast = clock_jumped or self.sync.answers < _FAST_ANSWERS
         if self._is_due("time", now_s, _TIME_FAST_S if fast else _TIME_SLOW_S):
-            yield mavlink.MAVLink_timesync_message(0, self.sync.request(now_s))
+            send(mavlink.MAVLink_timesync_message(0, self.sync.request(now_s)))
         for name in self._parameters.due(now_s):
-            yield mavlink.MAVLink_param_request_read_message(
-                self._settings.sysid, AUTOPILOT_COMPONENT, name.encode(), -1
+            sysid = self._settings.sysid
+            send(
+                mavlink.MAVLink_param_request_read_message(
+                    sysid, AUTOPILOT_COMPONENT, name.encode(), -1
+                )
             )
         asking = vehicle.unconfirmed or self.urgent
         if asking and self._is_due("confirmation", now_s, _CONFIRM_S):
-            yield self.commands.request(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+            send(self.commands.request(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
         if vehicle.anchor is None and self._is_due("origin", now_s, _REQUEST_S):
-            yield self.commands.request(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-            yield self.commands.request(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+            send(self.commands.request(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
+            send(self.commands.request(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
         position_s = vehicle.pose.position_s
         silent = position_s is None or now_s - position_s > _SILENT_S
         # Single requests may get lost, a rebooted vehicle has forgotten them, and the rates that a vehicle
@@ -137,4 +126,5 @@ class LinkMaintenance:
         wanting = missing or self._interval_requests < _MIN_INTERVAL_REQUESTS
         if wanting and self._is_due("intervals", now_s, _INTERVALS_S):
             self._interval_requests += 1
-            yield from self.commands.intervals()
+            for request in self.commands.intervals():
+                send(request)

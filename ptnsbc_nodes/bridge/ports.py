@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,12 +41,13 @@ class BridgeInputs:
             return self.order != before
 
 
-Log = Callable[[str], None]
-"""Takes a line for the operator."""
+class BridgePorts:
+    """Everything that connects a bridge to its process; the words of this one reach nobody."""
 
-
-class BridgeOutputs:
-    """The words of a bridge to others; this one tells nobody anything."""
+    def __init__(self, steady_s: Callable[[], float], ros_ns: Callable[[], int]) -> None:
+        """The steady clock, which never jumps, and the clock that stamps messages."""
+        self.inputs = BridgeInputs()
+        self.steady_s, self.ros_ns = steady_s, ros_ns
 
     def odom(self, stamp_ns: int, odometry: Array) -> None:
         """The odometry (13,) of a vehicle in formation."""
@@ -72,18 +72,3 @@ class BridgeOutputs:
 
     def log(self, line: str) -> None:
         """A line for the operator."""
-
-
-class Clocks(NamedTuple):
-    """The steady clock, which never jumps, and the clock that stamps messages."""
-
-    steady_s: Callable[[], float]
-    ros_ns: Callable[[], int]
-
-
-class BridgePorts(NamedTuple):
-    """Everything that connects a bridge to its process."""
-
-    inputs: BridgeInputs
-    outputs: BridgeOutputs
-    clocks: Clocks

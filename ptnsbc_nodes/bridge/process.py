@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.files import read_key
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
@@ -28,7 +25,6 @@ from ptnsbc_nodes.runtime.node_process import (
     serve_managed,
 )
 from ptnsbc_nodes.runtime.scenario_parameters import DescribedValue, Value
-from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.bridge.bridge_node import BridgeNode
@@ -77,44 +73,11 @@ _FIXED = (
 )
 
 
-def run_bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
-    """Bridge as the command line says; returns the exit code."""
-    given: dict[str, Value | None] = {
-        "scenario": arguments.scenario,
-        "uav": arguments.uav,
-        "recorded": arguments.recorded,
-        "signing_key": str(arguments.signing_key or ""),
-        "allow_arming": arguments.allow_arming,
-    }
-    if arguments.connect is not None:
-        if arguments.uav is None:
-            raise BridgeError(f"--connect {arguments.connect}: expected --uav N as well")
-        given[f"mavlink.vehicles.{arguments.uav}.connect"] = arguments.connect
-    return _serve(given, argv, managed=arguments.managed)
+def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
+    """Bridge one vehicle until it has landed, or a signal; returns the exit code.
 
-
-def bridge(
-    scenario: Scenario,
-    uav: int,
-    signing_key: Path | None,
-    argv: Sequence[str],
-    *,
-    allow_arming: bool,
-) -> int:
-    """Bridge one vehicle until it has landed, or a signal; `argv` is for ROS.
-
-    `signing_key` is used instead of the scenario's.
+    `given` are values of the node's parameters, `argv` is for ROS; a `managed` bridge waits to be configured.
     """
-    given: dict[str, Value | None] = {
-        "scenario_text": scenario.text,
-        "uav": uav,
-        "signing_key": str(signing_key or ""),
-        "allow_arming": allow_arming,
-    }
-    return _serve(given, argv, managed=False)
-
-
-def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
     lifetime = _LandingLifetime()
     namespace = "" if given["uav"] is None else f"/uav{given['uav']}"
     with (
@@ -141,9 +104,7 @@ def _open(
     """The bridge with an open link to its vehicle."""
     scenario, uav = parameters.scenario, parameters.uav
     try:
-        from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-        from ptnsbc_io.mavlink.transport import connect
-        from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+        from ptnsbc_nodes.bridge.bridge import open_link
         from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
@@ -153,10 +114,7 @@ def _open(
             f"{scenario.source}: plant.kind: {scenario.plant.kind}: expected quadrotor, "
             "the only plant that flight controllers fly here"
         )
-    key = parameters["signing_key"] or settings.signing_key
-    signer = Signer(read_key(Path(key))) if key else None
-    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
-    edges = CommunicationGraph(scenario, parameters.options)
-    path = str(Path(key).resolve()) if key else ""
-    options = BridgeOptions(parameters["allow_arming"], with_fleet, path)
+    key = str(parameters["signing_key"] or settings.signing_key or "")
+    link, edges = open_link(settings, key), CommunicationGraph(scenario, parameters.options)
+    options = BridgeOptions(parameters["allow_arming"], with_fleet, key)
     return BridgeNode(node, scenario, uav, edges, link, options, on_end)

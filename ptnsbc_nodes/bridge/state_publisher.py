@@ -73,7 +73,7 @@ class StatePublisher:
     @property
     def height_m(self) -> float:
         """Height above the place of arming."""
-        return 0.0 if self.odometry is None else float(self.odometry[2]) - self._ground_m
+        return 0.0 if self.odometry is None else self.height_over_world_m - self._ground_m
 
     @property
     def height_over_world_m(self) -> float:
@@ -118,7 +118,7 @@ class StatePublisher:
         if self._local_position is not None:
             place = world.define_by_leader(self._local_position)
             if place is not None:
-                self._ports.outputs.origin(place)
+                self._ports.origin(place)
         if self._ports.inputs.leader_origin is not None:
             world.leader_at(self._ports.inputs.leader_origin)
         if vehicle.armed:
@@ -129,13 +129,12 @@ class StatePublisher:
     def report_presence(self, present: bool) -> None:
         """Report the vehicle as lost, once each time it leaves the formation."""
         if self._present and not present:
-            self._ports.outputs.lost()
+            self._ports.lost()
         self._present = present
 
     def on_state(self, state: VehicleState, in_formation: bool) -> None:
         """Publish a new state, if all about it is known and nothing is wrong with it."""
-        clocks, vehicle = self._ports.clocks, self._vehicle
-        now_s = clocks.steady_s()
+        vehicle, now_s = self._vehicle, self._ports.steady_s()
         self._sync.on_boot_time(state.boot_s, now_s)
         self._local_position = state.odometry[0:3].copy()
         self.world.on_height(float(state.odometry[2]))
@@ -148,48 +147,39 @@ class StatePublisher:
         ):
             return
         sampled_s = self._sync.to_host_time(state.boot_s)
-        if sampled_s is None or not self._timely(now_s - sampled_s, now_s):
+        if sampled_s is None:
+            return
+        age_s = now_s - sampled_s
+        if not -_AHEAD_S <= age_s <= _OLDEST_S:
+            skewed = age_s < 0.0 or age_s > 2 * _OLDEST_S
+            self.dropped["skewed" if skewed else "old"] += 1
+            self._clock_fault_s = now_s if skewed else self._clock_fault_s
             return
         odometry = state.odometry.copy()
         # The state is carried to the present with its own velocity, as a UAV does with its neighbours'
         # states. Compared with those at an older instant, the vehicle would fly that little ahead of its place.
-        age_s = max(now_s - sampled_s, 0.0)
-        odometry[0:3] += offset + age_s * np.array(velocity_enu(odometry))
+        odometry[0:3] += offset + max(age_s, 0.0) * np.array(velocity_enu(odometry))
         self.odometry, self.sampled_s = odometry, min(sampled_s, now_s)
-        stamp_ns = self._stamp(clocks.ros_ns())
-        self._published_s = now_s
+        stamp_ns = self._ports.ros_ns()
+        if 0 <= self._stamp_ns - stamp_ns < _JUMP_BACK_NS:
+            stamp_ns = (
+                self._stamp_ns + _STEP_NS
+            )  # later than the last, unless the clock was set back
+        self._stamp_ns, self._published_s = stamp_ns, now_s
         published = PublishedOdometry(self.sampled_s, now_s, odometry)
         self.controller.remember(stamp_ns, published)
         if in_formation:
-            self._ports.outputs.odom(stamp_ns, odometry)
+            self._ports.odom(stamp_ns, odometry)
             self.shared = SharedVehicleState(self.shared.messages + 1, stamp_ns)
         else:
-            self._ports.outputs.track(stamp_ns, odometry)
+            self._ports.track(stamp_ns, odometry)
 
     def on_truth(self, message: Any) -> None:
         """Publish where a simulated vehicle really is, for the verdict alone."""
         position = self.world.true_position(place_of(message))
         odometry = None if position is None else true_odometry(message, position)
         if odometry is not None:
-            self._ports.outputs.truth(self._ports.clocks.ros_ns(), odometry)
-
-    def _timely(self, age_s: float, now_s: float) -> bool:
-        if -_AHEAD_S <= age_s <= _OLDEST_S:
-            return True
-        if age_s < 0.0 or age_s > 2 * _OLDEST_S:
-            self.dropped["skewed"] += 1
-            self._clock_fault_s = now_s
-        else:
-            self.dropped["old"] += 1
-        return False
-
-    def _stamp(self, stamp_ns: int) -> int:
-        """A stamp later than the last, unless the wall clock itself was set back."""
-        behind = self._stamp_ns - stamp_ns
-        if 0 <= behind < _JUMP_BACK_NS:
-            stamp_ns = self._stamp_ns + _STEP_NS
-        self._stamp_ns = stamp_ns
-        return stamp_ns
+            self._ports.truth(self._ports.ros_ns(), odometry)
 
 
 _REMEMBERED = 300
@@ -293,6 +283,8 @@ class WorldFrame:
         self.frozen = False
         self.offset: Array | None = None
         """World position of the local origin (3,) [m], ENU; None while it is not known."""
+        self.missing = ""
+        """The values that the offset lacks; empty when it has all."""
         self._update()  # a surveyed vehicle has nothing to wait for
 
     @property
@@ -349,17 +341,6 @@ class WorldFrame:
         self.frozen = True
 
     @property
-    def missing(self) -> str:
-        """The values that the offset lacks; empty when it has all."""
-        if self.offset is not None:
-            return ""
-        if self._surveyed is None and self._anchor is None:
-            return "the vehicle's GPS_GLOBAL_ORIGIN, or mavlink.vehicles.N.origin_m"
-        if self._reference is None and self._surveyed is None:
-            return "the place of the leader"
-        return "the height of the ground"
-
-    @property
     def _settled(self) -> bool:
         return self.frozen and self.offset is not None
 
@@ -368,14 +349,19 @@ class WorldFrame:
             return
         if self._surveyed is not None:
             offset = self._surveyed.copy()
-        elif self._anchor is not None and self._reference is not None:
+        elif self._anchor is None:
+            self.missing = "the vehicle's GPS_GLOBAL_ORIGIN, or mavlink.vehicles.N.origin_m"
+            return
+        elif self._reference is None:
+            self.missing = "the place of the leader"
+            return
+        else:
             away = frames.offset_enu(self._anchor.place, self._reference, self._radius_m)
             reference_enu = np.zeros(3) if self._given else self._start
             offset = reference_enu + away - self._anchor.local_enu
-        else:
-            return
         if self._on_ground:
             if self._ground_z_m is None:
+                self.missing = "the height of the ground"
                 return
             offset[2] = -self._ground_z_m
-        self.offset = offset
+        self.offset, self.missing = offset, ""

@@ -38,37 +38,40 @@ _STATES: Mapping[Step, SafetyState] = {
 }
 
 
-def new_record(scenario: Scenario, uav_id: int, signing_key: str) -> VehicleRecord:
-    """The record of a vehicle with all that does not change in flight; `signing_key`: path of the key file."""
-    link = scenario.vehicle_link(uav_id)
-    name = (
-        f"bridge{uav_id}"  # the folder is the fleet's own, so a namespace does not belong into it
-    )
-    return VehicleRecord(
-        name, os.getpid(), link.sysid, link.autopilot, link.connect, signing_key=signing_key
-    )
-
-
 class RecordKeeper:
     """Keeps the record of a vehicle in the runtime folder: at most a second old, and a change is there at once."""
 
-    def __init__(self, bridge: Bridge, base: VehicleRecord, folder: Path | None) -> None:
-        self._bridge, self._base, self._folder = bridge, base, folder
-        self._kept, self._kept_s = base, -math.inf
-
-    @property
-    def present(self) -> VehicleRecord:
-        """The record of now."""
-        return vehicle_record(self._base.name, self._bridge, self._base)
+    def __init__(
+        self,
+        bridge: Bridge,
+        scenario: Scenario,
+        uav_id: int,
+        signing_key: str,
+        folder: Path | None,
+    ) -> None:
+        """`signing_key`: path of the key file; `folder`: None keeps no file."""
+        link = scenario.vehicle_link(uav_id)
+        self.name = f"bridge{uav_id}"  # without a namespace: the folder is the fleet's own
+        self._fixed = VehicleRecord(
+            self.name,
+            os.getpid(),
+            link.sysid,
+            link.autopilot,
+            link.connect,
+            signing_key=str(Path(signing_key).resolve()) if signing_key else "",
+        )
+        self._bridge, self._folder = bridge, folder
+        self._kept, self._kept_s = self._fixed, -math.inf
 
     def encode(self) -> bytes:
         """The record of now as the answer to an order."""
-        return self.present.encode()
+        return vehicle_record(self._bridge, self._fixed).encode()
 
     def keep(self, *, ended: bool = False) -> VehicleRecord:
         """Write the record of now if its file is older, or says something else; `ended`: the bridge ends in order."""
-        record, now_s = replace(self.present, ended=ended), self._bridge.ports.clocks.steady_s()
+        record = replace(vehicle_record(self._bridge, self._fixed), ended=ended)
         changed = replace(record, place=self._kept.place) != self._kept
+        now_s = self._bridge.ports.steady_s()
         if self._folder is not None and (changed or now_s >= self._kept_s + _RECORD_S):
             self._kept, self._kept_s = record, now_s
             with suppress(OSError):
@@ -76,15 +79,14 @@ class RecordKeeper:
         return record
 
 
-def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRecord:
-    """The knowledge of this bridge about its vehicle now; `base` has the part that does not change."""
+def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
+    """The knowledge of this bridge about its vehicle now; `fixed` has the part that does not change."""
     vehicle, procedure, peer = bridge.vehicle, bridge.procedure, bridge.link.peer
-    silence_s = vehicle.heartbeat_age_s(bridge.ports.clocks.steady_s())
+    silence_s = vehicle.heartbeat_age_s(bridge.ports.steady_s())
     # After the flight the bridge listens no longer, and the vehicle's last word stands.
     landed = procedure.over and bridge.flew and not vehicle.armed
     return replace(
-        base,
-        name=name,
+        fixed,
         peer="" if peer is None else f"{peer[0]}:{peer[1]}",
         step=procedure.step.value,
         order=bridge.ports.inputs.order.text,
@@ -112,7 +114,7 @@ def bridge_status(
     log.note(safety.level, safety.reason)
     procedure, vehicle, link, stream = bridge.procedure, bridge.vehicle, bridge.link, bridge.stream
     state, report, battery = bridge.state_publisher, bridge.report, vehicle.battery.percent
-    age_s = state.controller.age_s(bridge.ports.clocks.steady_s())
+    age_s = state.controller.age_s(bridge.ports.steady_s())
     following, latency, sync = stream.following.found(), stream.latency, bridge.maintenance.sync
     attitude = stream.attitude if stream.sends_thrust(Stream.PLANNER) else None
     thrust = attitude.thrust_test.found if attitude else None
@@ -121,15 +123,7 @@ def bridge_status(
     values = {
         **readiness(missing),
         SAFETY: safety.state.text,
-        "step": procedure.step.value,
-        "fault": procedure.fault,
-        "mode": vehicle.mode_name,
-        "armed": str(vehicle.armed).lower(),
-        "heard": str(record.heard).lower(),
-        "landed": str(record.landed).lower(),
-        "in_pilots_hands": str(record.in_pilots_hands).lower(),
-        "place": record.place,
-        "order": record.order,
+        **record.status,
         "position_m": " ".join(map("{:.3f}".format, report.position or ())),
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",
@@ -161,18 +155,12 @@ def bridge_status(
         **{f"clamped_{what}": str(count) for what, count in stream.guard.clamped.items()},
         **endpoints.refusals.values(),
     }
-    stamp_ns = bridge.ports.clocks.ros_ns()
+    stamp_ns = bridge.ports.ros_ns()
     return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
 
 
 def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concern]:
-    """The concerns that the procedure of a vehicle raises; none while the flight goes as planned.
-
-    Args:
-        step: where in the flight the vehicle is.
-        stream: what the setpoint stream carries.
-        fault: why the flight did not go as planned.
-    """
+    """The concerns that the procedure of a vehicle raises; none while the flight goes as planned."""
     state = _STATES.get(step, SafetyState.NOMINAL)
     if step in (Step.FLY, Step.HELD) and stream is Stream.HOLD:
         late, away = "the setpoints of the controller are late", "its controller is away"
@@ -190,7 +178,7 @@ def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> I
     """The reasons for the safety state of the bridge: its step of the flight, missing topics, refused messages."""
     procedure, warn = bridge.procedure, DiagnosticLevel.WARN
     yield from procedure_concern(procedure.step, procedure.output.stream, procedure.fault)
-    if fault := bridge.state_publisher.fault(bridge.ports.clocks.steady_s()):
+    if fault := bridge.state_publisher.fault(bridge.ports.steady_s()):
         yield Concern(SafetyState.DEGRADED, warn, fault)
     if missing:
         yield Concern(SafetyState.NOMINAL, warn, f"waiting for {', '.join(missing)}")

@@ -22,6 +22,7 @@ from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import VehicleClock
+from ptnsbc_nodes.bridge.procedure.steps import Lasting
 
 TRUTH_MESSAGES = ("HIL_STATE_QUATERNION", "SIM_STATE")
 """The true place of a simulated vehicle, of PX4 and of ArduPilot. Nothing flies by it; a real vehicle sends neither."""
@@ -275,7 +276,7 @@ class BatteryMonitor:
 
     def __init__(self) -> None:
         self.newest: Battery | None = None
-        self._low_since_s: float | None = None
+        self._low = Lasting()
 
     @property
     def percent(self) -> float | None:
@@ -284,11 +285,8 @@ class BatteryMonitor:
 
     def below(self, percent: float, now_s: float) -> bool:
         """True if the charge has been below `percent` for some seconds."""
-        if self.percent is None or self.percent >= percent:
-            self._low_since_s = None
-            return False
-        self._low_since_s = now_s if self._low_since_s is None else self._low_since_s
-        return now_s - self._low_since_s >= _LOW_BATTERY_S
+        low = self.percent is not None and self.percent < percent
+        return self._low.update(low, now_s) >= _LOW_BATTERY_S
 
     def on_status(self, message: Any) -> None:
         """SYS_STATUS, in which -1 and the largest voltage stand for a figure that is not known."""
@@ -314,22 +312,20 @@ class GnssMonitor:
         self.fix = ""
         self.error_m: float | None = None  # horizontally, as the receiver estimates it
         self._had_fix = False
-        self._no_fix_since_s: float | None = None
+        self._without_fix = Lasting()
 
     def fix_lost(self, now_s: float) -> bool:
         """True if a fix is gone; a vehicle that never had one needs none."""
-        since_s = self._no_fix_since_s
-        return self._had_fix and since_s is not None and now_s - since_s >= _NO_FIX_S
+        return self._had_fix and self._without_fix.seconds(now_s) >= _NO_FIX_S
 
     def on_message(self, message: Any, now_s: float) -> None:
         """GPS_RAW_INT."""
         if message.h_acc > 0:
             self.error_m = message.h_acc * _MILLI
         self.fix = _FIXES.get(message.fix_type, "")
-        if message.fix_type >= _FIX_3D:
-            self._had_fix, self._no_fix_since_s = True, None
-        elif self._no_fix_since_s is None:
-            self._no_fix_since_s = now_s
+        fixed = message.fix_type >= _FIX_3D
+        self._had_fix = self._had_fix or fixed
+        self._without_fix.update(not fixed, now_s)
 
 
 class VehicleMonitor:

@@ -69,11 +69,7 @@ def parse_order(text: str) -> Order | None:
 
 
 def runtime_folder(domain: int, fleet: str = "") -> Path:
-    """The folder of a fleet on this host, made if it is missing.
-
-    Args:
-        domain: ROS domain of the fleet.
-        fleet: its namespace, empty for the root.
+    """The folder on this host of a fleet in a ROS domain and a namespace, made if it is missing.
 
     Raises:
         RuntimeFolderError: somebody else owns it, or it cannot be made.

@@ -16,6 +16,9 @@ from pathlib import Path
 from ptnsbc_nodes.emergency.orders import read_json, write_json
 
 _SUFFIX = ".vehicle.json"
+# What the status of a bridge says of its vehicle as well: texts, and what is true or false.
+_TEXTS = ("step", "fault", "mode", "place", "order")
+_FLAGS = ("armed", "heard", "landed", "in_pilots_hands")
 
 
 @dataclass(frozen=True)
@@ -71,27 +74,29 @@ class VehicleRecord:
             return ") Z " not in Path(f"/proc/{self.pid}/stat").read_text()
         return True
 
+    @property
+    def status(self) -> dict[str, str]:
+        """The values of a status that `reported` reads."""
+        return {name: str(getattr(self, name)) for name in _TEXTS} | {
+            name: str(getattr(self, name)).lower() for name in _FLAGS
+        }
+
     def encode(self) -> bytes:
         """As `parse_record` reads it."""
         return json.dumps(asdict(self)).encode()
 
 
-_TYPES = {one.name: one.type for one in fields(VehicleRecord)}
-_KINDS: dict[str, type | tuple[type, ...]] = {
-    "str": str,
-    "int": int,
-    "bool": bool,
-    "float": (int, float),
-}
+_KINDS: Mapping[object, tuple[type, ...]]
+_KINDS = {"str": (str,), "int": (int,), "bool": (bool,), "float": (int, float)}
+_TYPES = {field.name: _KINDS[field.type] for field in fields(VehicleRecord)}
 
 
 def parse_record(found: object) -> VehicleRecord | None:
     """A record from decoded JSON; None when it is not one."""
     if not isinstance(found, dict):
         return None
-    for name, kind in _TYPES.items():
-        if not isinstance(found.get(name), _KINDS[str(kind)]):
-            return None
+    if not all(isinstance(found.get(name), kinds) for name, kinds in _TYPES.items()):
+        return None
     return VehicleRecord(**{name: found[name] for name in _TYPES})
 
 
@@ -146,24 +151,6 @@ def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
 
 def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
     """The record of a vehicle, as its bridge on any host reports it now."""
-
-    def yes(key: str) -> bool:
-        return values.get(key) == "true"
-
-    return VehicleRecord(
-        name=name,
-        pid=0,
-        sysid=0,
-        autopilot="",
-        connect="",
-        step=values.get("step", ""),
-        order=values.get("order", ""),
-        heard=yes("heard"),
-        armed=yes("armed"),
-        landed=yes("landed"),
-        in_pilots_hands=yes("in_pilots_hands"),
-        mode=values.get("mode", ""),
-        place=values.get("place", ""),
-        fault=values.get("fault", ""),
-        written_s=time.time(),
-    )
+    texts = {key: values.get(key, "") for key in _TEXTS}
+    flags = {key: values.get(key) == "true" for key in _FLAGS}
+    return VehicleRecord(name, 0, 0, "", "", written_s=time.time(), **texts, **flags)  # type: ignore[arg-type]

@@ -264,7 +264,7 @@ class UavReplay:
         self._decided = decided
         self.account = Account()
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
-        self._recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
+        self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._plugins, self._edges = plugins, edges
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
@@ -421,14 +421,14 @@ class UavReplay:
 
     def keep_counters(self, ticks: int, values: dict[str, str]) -> None:
         """Keep the values of a recorded status until that many steps are made."""
-        kept = self._recorded_counters
+        kept = self.recorded_counters
         kept.setdefault(ticks, []).append(values)
         if len(kept) > _KEPT_STATUSES:
             del kept[next(iter(kept))]
 
     def compare_counters(self) -> Mismatch | None:
         """The first counter of /diagnostics that differs at this number of steps."""
-        found = self._recorded_counters.pop(self.controller.counters.ticks, None)
+        found = self.recorded_counters.pop(self.controller.counters.ticks, None)
         if found is None:
             return None
         own = self.controller.counters.values()

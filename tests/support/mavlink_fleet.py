@@ -26,7 +26,7 @@ from ptnsbc_io.mavlink.transport import Packet
 from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.ports import BridgeInputs
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
@@ -127,7 +127,11 @@ class FleetUav:
         self.setpoint_template = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
         self.began = False
-        outputs = SimpleNamespace(
+        self.inputs = BridgeInputs(controller_ready=True)
+        ports = SimpleNamespace(
+            inputs=self.inputs,
+            steady_s=fleet.now,
+            ros_ns=fleet.wall_ns,
             odom=self.on_odometry,
             track=self.on_track,
             origin=fleet.set_leader_origin,
@@ -137,14 +141,12 @@ class FleetUav:
             truth=self.on_truth,
             log=self.on_log,
         )
-        self.inputs = BridgeInputs(controller_ready=True)
-        clocks = Clocks(fleet.now, fleet.wall_ns)
         self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
         self.bridge = Bridge(
             scenario,
             uav_id,
             self.link,
-            BridgePorts(self.inputs, outputs, clocks),
+            ports,
             True,
             fleet.awaited,
         )

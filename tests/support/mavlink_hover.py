@@ -10,7 +10,6 @@ from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.hover_test import HoverTest
-from ptnsbc_nodes.bridge.ports import Clocks
 from ptnsbc_sim.scenario import load_scenario
 
 NAMES = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
@@ -58,9 +57,15 @@ class HoverRig(HoverWorld):
     def __init__(self, kind, *, box_m=3.0, uav=1, **settings):
         super().__init__(kind, uav=uav, **settings)
         link = MavlinkLink(self.wire, self.system, WANTED_MESSAGES, None)
-        clocks = Clocks(lambda: self.now_s, lambda: self.now_ns)
         self.test = HoverTest(
-            self.scenario, uav, link, clocks, self.lines.append, allow_arming=True, box_m=box_m
+            self.scenario,
+            uav,
+            link,
+            lambda: self.now_s,
+            lambda: self.now_ns,
+            self.lines.append,
+            allow_arming=True,
+            box_m=box_m,
         )
 
     def run(self, seconds=200.0, until=None):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +26,6 @@ _ARMED = frozenset(step.value for step in (Step.ARMED, *_UP))
 _READY = frozenset(step.value for step in (Step.READY, Step.ARM, Step.ARMED, *_UP))
 _OUT = frozenset(step.value for step in (Step.FAILED, Step.DONE, Step.YIELDED, Step.DISARM))
 _CLEAR_M = 1.5  # a vehicle so high above the ground has left room for the next one to lift off
-
-
-class StandingPlace(NamedTuple):
-    """The place where a vehicle stands, and its uncertainty."""
-
-    position: Position
-    error_m: float
 
 
 class Companions:
@@ -78,33 +70,35 @@ class Companions:
                 return f"bridge{uav_id} {companion.step}{why}"
         return ""
 
-    def too_near(self, place: StandingPlace) -> str:
+    def too_near(self, position: Position, error_m: float) -> str:
         """The reason why this vehicle may not arm where it stands; empty when it may."""
-        for uav_id, _, apart_m, error_m in self._apart(place):
+        for uav_id, _, apart_m, off_m in self._apart(position, error_m):
             keep_out_m = self._keep_outs_m[uav_id]
-            least_m = keep_out_m + error_m
+            least_m = keep_out_m + off_m
             if apart_m < least_m:
                 return (
                     f"stands {apart_m:.2f} m from the vehicle of bridge{uav_id}: expected at least {least_m:.2f} m, "
-                    f"the keep-out of {keep_out_m:g} m and {error_m:.2f} m of position error"
+                    f"the keep-out of {keep_out_m:g} m and {off_m:.2f} m of position error"
                 )
         return ""
 
-    def climbs_first(self, place: StandingPlace) -> str:
+    def climbs_first(self, position: Position, error_m: float) -> str:
         """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
         waits = []
-        for uav_id, other, apart_m, error_m in self._apart(place):
-            close = apart_m < self._keep_outs_m[uav_id] + self._spacing_m + error_m
+        for uav_id, other, apart_m, off_m in self._apart(position, error_m):
+            close = apart_m < self._keep_outs_m[uav_id] + self._spacing_m + off_m
             if uav_id < self._uav_id and close and other.height_m < _CLEAR_M:
                 waits.append(f"bridge{uav_id}")
         return ", ".join(waits)
 
-    def _apart(self, place: StandingPlace) -> Iterator[tuple[int, Companion, float, float]]:
+    def _apart(
+        self, position: Position, error_m: float
+    ) -> Iterator[tuple[int, Companion, float, float]]:
         """The others with the horizontal distance to each and the error of that distance [m]."""
         for uav_id, (other, _) in sorted(self._heard.items()):
             if other.position is not None:
-                apart_m = math.dist(place.position[:2], other.position[:2])
-                yield uav_id, other, apart_m, math.hypot(place.error_m, other.error_m)
+                apart_m = math.dist(position[:2], other.position[:2])
+                yield uav_id, other, apart_m, math.hypot(error_m, other.error_m)
 
     def _missing(self, steps: frozenset[str], now_s: float) -> Iterator[str]:
         for uav_id in sorted(self._awaited | set(self._heard)):
@@ -159,23 +153,23 @@ class Placement:
 
     def misplaced(self) -> str:
         """The reason why the vehicle may not arm where it stands: by the scenario, and by the others."""
-        standing = self._standing()
-        if standing is None:
+        position = self.position
+        if position is None:
             return ""
-        away_m = math.dist(standing.position[:2], self.start[:2])
-        limit_m = self._mavlink.start_tolerance_m + standing.error_m
+        away_m = math.dist(position[:2], self.start[:2])
+        limit_m = self._mavlink.start_tolerance_m + self.error_m
         if away_m > limit_m:
             x, y = self.start[:2]
             return (
                 f"stands at {self.text}, {away_m:.2f} m from its start ({x:g}, {y:g}) m: expected at most "
                 f"{limit_m:.2f} m, see uavs and mavlink.start_tolerance_m"
             )
-        return self.companions.too_near(standing)
+        return self.companions.too_near(position, self.error_m)
 
     def climbs_first(self) -> str:
         """The vehicles that must climb before this one; empty when it may climb."""
-        standing = self._standing()
-        return "" if standing is None else self.companions.climbs_first(standing)
+        position = self.position
+        return "" if position is None else self.companions.climbs_first(position, self.error_m)
 
     def below(self, others: Array) -> str:
         """The reason why it cannot land: another vehicle in the air below it, too close beside to land past it.
@@ -197,7 +191,3 @@ class Placement:
         high_m = min(low_m + last * apart_m, guard.highest_m)
         low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, guard.lowest_m)
         return low_m + (high_m - low_m) * self._uav_ids.index(self._uav_id) / max(last, 1)
-
-    def _standing(self) -> StandingPlace | None:
-        position = self.position
-        return None if position is None else StandingPlace(position, self.error_m)

@@ -15,14 +15,15 @@ import numpy as np
 from ptnsbc_core.curves.shape import places
 from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.types import AgentConfig, Array
+from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
-from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
+from ptnsbc_nodes.bridge.procedure.steps import Lasting, Step, Stream
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mavlink import Abort
 from ptnsbc_sim.scenario.model import NANOSECONDS
 
 _SOON_S = 0.5  # the predicted paths count so far ahead
@@ -32,16 +33,6 @@ _GROWING = 0.8  # the newest swing as a share of the first of them: below, the m
 _AWAY_S, _AGAINST_S = 3.0, 3.0
 _SETTLED_S = 5.0  # after the deadline
 _GAP_S = 0.5  # after a longer silence the next place is no jump
-
-
-class AbortLimits(NamedTuple):
-    """From which values on the formation is given up; 0 switches one off."""
-
-    separation_share: float  # of the keep-out of a pair
-    swing_m_s: float
-    away_m_s: float
-    against_m_s: float
-    jump_m: float
 
 
 class Sight(NamedTuple):
@@ -58,28 +49,13 @@ class Sight(NamedTuple):
     """(K, 3) the places that it may have to take, where UAVs come and go: on its way to one it is faster than it."""
 
 
-class _Lasting:
-    """The time for which a condition has been true without a break."""
-
-    def __init__(self) -> None:
-        self._since_s: float | None = None
-
-    def seconds(self, now_s: float, holds: bool) -> float:
-        """The time at `now_s`; negative while the condition is false."""
-        if not holds:
-            self._since_s = None
-            return -1.0
-        self._since_s = now_s if self._since_s is None else self._since_s
-        return now_s - self._since_s
-
-
 class FlightMonitor:
     """Looks at every new state of the vehicle while it flies in formation."""
 
-    def __init__(self, limits: AbortLimits) -> None:
+    def __init__(self, limits: Abort) -> None:
         self._limits = limits
         self._last: Sight | None = None
-        self._near, self._fast, self._astray = _Lasting(), _Lasting(), _Lasting()
+        self._near, self._fast, self._astray = Lasting(), Lasting(), Lasting()
         self._peak = np.zeros(2)  # of the present swing
         self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)  # when, and how fast
 
@@ -104,7 +80,7 @@ class FlightMonitor:
     def _too_near(self, sight: Sight) -> str:
         share = self._limits.separation_share
         if not share or not len(sight.others):
-            self._near.seconds(sight.now_s, False)
+            self._near.update(False, sight.now_s)
             return ""
         away = sight.others[:, 0:3] - sight.position
         closing = sight.others[:, 4:7] - sight.velocity
@@ -115,7 +91,7 @@ class FlightMonitor:
         nearest = int(np.argmin(apart_m - share * sight.others[:, 3]))
         nearest_m = float(apart_m[nearest])
         near = nearest_m < share * sight.others[nearest, 3]
-        if self._near.seconds(sight.now_s, near) < _TOO_NEAR_S:
+        if self._near.update(near, sight.now_s) < _TOO_NEAR_S:
             return ""
         return f"{nearest_m:.2f} m from another vehicle, now or within {_SOON_S:g} s"
 
@@ -149,7 +125,7 @@ class FlightMonitor:
             apart_m = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
             speed_m_s = float(np.min(off @ motion / apart_m))
         fast = bool(limit_m_s) and sight.settled_s >= _SETTLED_S and speed_m_s >= limit_m_s
-        if self._fast.seconds(sight.now_s, fast) < _AWAY_S:
+        if self._fast.update(fast, sight.now_s) < _AWAY_S:
             return ""
         return f"its error grows: {speed_m_s:.1f} m/s away from the motion of its place for {_AWAY_S:g} s"
 
@@ -161,7 +137,7 @@ class FlightMonitor:
         wanted_m_s = float(np.linalg.norm(correction))
         large = bool(limit_m_s) and wanted_m_s >= limit_m_s
         astray = large and float(motion @ correction) < 0.0
-        if self._astray.seconds(sight.now_s, astray) < _AGAINST_S:
+        if self._astray.update(astray, sight.now_s) < _AGAINST_S:
             return ""
         return (
             f"its error grows: for {_AGAINST_S:g} s it flies away from its place, "
@@ -181,10 +157,10 @@ class LeaderReference:
         """Take in the legs and the setpoints of the leader that have arrived."""
         while inputs.legs:
             if self._epochs.announce(*inputs.legs.pop(0)):
-                self.config = agent_config(self._flown(), self._uav_id)
+                self.config = agent_config(self._epochs.scenario, self._uav_id)
         while inputs.taken:
             self._epochs.take(inputs.taken.pop(0))
-            self.config = self.config._replace(trajectory=leader_trajectory(self._flown()))
+            self.config = self.config._replace(trajectory=leader_trajectory(self._epochs.scenario))
 
     def leg(self, now_ns: int) -> Leg | None:
         """The leg in force for the vehicle; None before the first."""
@@ -205,17 +181,20 @@ class LeaderReference:
         return reference(self.config.trajectory, max(flight_s, 0.0))
 
     def place_velocity(self, flight_s: float) -> Array:
-        """Velocity (3,) [m/s] of the vehicle's place in the formation, which may move beside the leader."""
-        known = not self._scenario.formation.has_open_slots
-        return place_velocity(self.config, max(flight_s, 0.0), slot_known=known)
+        """Velocity (3,) [m/s] of the vehicle's place: that of the leader's reference, and that of a shape that moves.
+
+        Where slots are open a bridge does not hear who takes which, and the leader's has to do.
+        """
+        config, t = self.config, max(flight_s, 0.0)
+        velocity = np.array(reference(config.trajectory, t).velocity)
+        if config.shape.moving and not self._scenario.formation.has_open_slots:
+            velocity += places(config.shape, config.trajectory, t).own.velocity
+        return velocity
 
     def is_member(self, flight_s: float) -> bool:
         """True if the vehicle belongs to the formation by the scenario: it has joined, and has not left."""
-        begin_ns, end_ns = (
-            self._scenario.uav(self._uav_id).joins_ns,
-            self._scenario.uav(self._uav_id).leaves_ns,
-        )
-        return begin_ns <= flight_s * NANOSECONDS < end_ns
+        uav = self._scenario.uav(self._uav_id)
+        return uav.joins_ns <= flight_s * NANOSECONDS < uav.leaves_ns
 
     def places(self, flight_s: float) -> Array | None:
         """The places (K, 3) [m] that the vehicle may have to take where UAVs come and go; None elsewhere."""
@@ -226,20 +205,6 @@ class LeaderReference:
         slots = scenario.uav_ids if closes_up else (self._uav_id,)
         leader = np.array(self.at(flight_s).position)
         return leader + np.array([scenario.offset(slot) for slot in slots])
-
-    def _flown(self) -> Scenario:
-        return self._epochs.scenario
-
-
-def place_velocity(config: AgentConfig, t: float, *, slot_known: bool) -> Array:
-    """Velocity (3,) [m/s] of a UAV's place at t [s]: that of the leader's reference, and that of a shape that moves.
-
-    Where slots are open a bridge does not hear who takes which, and the leader's has to do.
-    """
-    velocity = np.array(reference(config.trajectory, t).velocity)
-    if config.shape.moving and slot_known:
-        velocity += places(config.shape, config.trajectory, t).own.velocity
-    return velocity
 
 
 class FormationWatch:
@@ -258,16 +223,7 @@ class FormationWatch:
         """`alone`: it flies for itself, without leader and formation."""
         self.reference = LeaderReference(scenario, uav_id)
         self.reference.place_velocity(0.0)  # compiled or loaded now, not in flight
-        abort = scenario.mavlink.abort
-        self._monitor = FlightMonitor(
-            AbortLimits(
-                abort.separation_share,
-                abort.swing_m_s,
-                abort.away_m_s,
-                abort.against_m_s,
-                abort.jump_m,
-            )
-        )
+        self._monitor = FlightMonitor(scenario.mavlink.abort)
         self._scenario, self._ports, self._alone = scenario, ports, alone
         self._state, self._stream = state, stream
         self.hazard = ""
@@ -280,7 +236,7 @@ class FormationWatch:
         odometry = self._state.odometry
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
             return
-        flight_s = self.reference.flight_s(self._ports.clocks.ros_ns())
+        flight_s = self.reference.flight_s(self._ports.ros_ns())
         in_flight = step is not Step.AIRBORNE and not self._alone
         follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
         deadline_s = float(self._scenario.gains.formation.deadline_s)

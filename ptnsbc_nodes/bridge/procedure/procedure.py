@@ -37,6 +37,7 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     STALE_S,
     STOP_S,
     CommandRequest,
+    Lasting,
     ProcedureOutput,
     Step,
     Stream,
@@ -68,26 +69,14 @@ class StepMemory:
     """The observations since the current step began."""
 
     since_s: float
-    good_since_s: float | None = None
-    landed_since_s: float | None = None
+    good: Lasting = field(default_factory=Lasting)  # what the step waits for
+    grounded: Lasting = field(default_factory=Lasting)
     land_mode_seen: bool = False
     requested_s: dict[CommandRequest, float] = field(default_factory=dict)
 
     def age_s(self, now_s: float) -> float:
         """The time for which this step has lasted."""
         return now_s - self.since_s
-
-    def lasts(self, good: bool, now_s: float, seconds: float) -> bool:
-        """True if a condition has been true for this long without a break."""
-        if not good:
-            self.good_since_s = None
-        elif self.good_since_s is None:
-            self.good_since_s = now_s
-        return good and self.good_for_s(now_s) >= seconds
-
-    def good_for_s(self, now_s: float) -> float:
-        """The time for which the condition of `lasts` has been true."""
-        return 0.0 if self.good_since_s is None else now_s - self.good_since_s
 
     def due(self, command: CommandRequest | None, now_s: float) -> CommandRequest | None:
         """The command when it is to be sent now, for the first time or again."""
@@ -169,7 +158,9 @@ class Procedure:
             if following is None:
                 break
             self._enter(following, now)
-        limit_s = self._limit_s(now)
+        pilot_arms = self.step is Step.ARM and not self.allow_arming
+        pilot_flies = self.step is Step.MODE and now.armed
+        limit_s = math.inf if pilot_arms or pilot_flies else _STATES[self.step].limit_s
         if self.memory.age_s(now.now_s) > limit_s:
             detail = f": {missing}" if (missing := _missing(self, now)) else ""
             reason = f"{self.step.value}: not within {limit_s:g} s{detail}{now.vehicle_reason}"
@@ -190,12 +181,6 @@ class Procedure:
         self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
         self.step, self.memory = step, StepMemory(now.now_s)
         self.gave_up = self.gave_up or step is Step.APART
-
-    def _limit_s(self, now: VehicleSnapshot) -> float:
-        """The time limit of this step; there is none while the bridge waits for a pilot."""
-        pilot_arms = self.step is Step.ARM and not self.allow_arming
-        pilot_flies = self.step is Step.MODE and now.armed
-        return math.inf if pilot_arms or pilot_flies else _STATES[self.step].limit_s
 
     def flown_by_pilot(self, now: VehicleSnapshot) -> bool:
         """True if a pilot flies the vehicle: the bridge has yielded, or found it flown."""
@@ -284,8 +269,8 @@ def _parameters(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 
 
 def _state(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
-    settled = flight.memory.lasts(not now.state_fault, now.now_s, _SETTLED_S)
-    return Transition(Step.CONTROLLER) if settled else None
+    valid_s = flight.memory.good.update(not now.state_fault, now.now_s)
+    return Transition(Step.CONTROLLER) if valid_s >= _SETTLED_S else None
 
 
 def _controller(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -295,7 +280,8 @@ def _controller(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         flight.memory = StepMemory(now.now_s)  # the limit is for a controller that may act
         return None
     good = now.controller_ready and now.controller_age_s < STALE_S
-    return Transition(Step.STREAM) if flight.memory.lasts(good, now.now_s, _SETTLED_S) else None
+    settled = flight.memory.good.update(good, now.now_s) >= _SETTLED_S
+    return Transition(Step.STREAM) if settled else None
 
 
 def _stream(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -354,9 +340,8 @@ def _disarm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 def _takeoff(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     missing_m = abs(now.height_m - flight.takeoff_height_m)
     arrived = missing_m < _ARRIVED_M and now.speed_m_s < _STILL_M_S
-    return (
-        Transition(Step.AIRBORNE) if flight.memory.lasts(arrived, now.now_s, _SETTLED_S) else None
-    )
+    settled = flight.memory.good.update(arrived, now.now_s) >= _SETTLED_S
+    return Transition(Step.AIRBORNE) if settled else None
 
 
 def _airborne(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -388,7 +373,7 @@ def _apart(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         return Transition(Step.LAND, now.battery_low)
     if now.state_fault:  # it cannot be held by a position that is not known
         return Transition(Step.LAND, now.state_fault)
-    settled = flight.memory.lasts(now.apart, now.now_s, _APART_S)
+    settled = flight.memory.good.update(now.apart, now.now_s) >= _APART_S
     return Transition(Step.LAND) if settled and not now.below else None
 
 
@@ -401,7 +386,8 @@ def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if age_s > _MODE_LAG_S and not own and now.mode is not FlightMode.HOLD:
         # The failsafe lands or returns, or a pilot flies: the bridge has no part in it any more.
         return Transition(Step.YIELDED)
-    recovered = memory.lasts(now.controller_age_s < STALE_S and heard, now.now_s, RECOVERED_S)
+    fresh = now.controller_age_s < STALE_S and heard
+    recovered = memory.good.update(fresh, now.now_s) >= RECOVERED_S
     if recovered and own:
         # Sent setpoints again, PX4 returns to OFFBOARD by itself. The bridge never requests the mode here: a pilot
         # who switched to Hold in the meantime keeps the vehicle.
@@ -409,7 +395,7 @@ def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         flight.hold_tolerated_until_s = now.now_s + _MODE_LAG_S
         return Transition(flight.step_before_failsafe)
     if recovered:
-        kept = memory.good_for_s(now.now_s) > RECOVERED_S + _MODE_LAG_S
+        kept = memory.good.seconds(now.now_s) > RECOVERED_S + _MODE_LAG_S
         kept = kept and age_s > RECOVERED_S + 2 * _MODE_LAG_S
         return Transition(Step.YIELDED) if kept else None
     if age_s > LAND_S and own and heard:
@@ -428,10 +414,7 @@ def _land(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if settled and now.mode not in (FlightMode.LAND, FlightMode.OWN):
         reason = f"the pilot took over while landing: mode {now.mode_name}"
         return Transition(Step.YIELDED, reason)
-    if not now.landed:
-        memory.landed_since_s = None
-    elif memory.landed_since_s is None:
-        memory.landed_since_s = now.now_s
+    memory.grounded.update(bool(now.landed), now.now_s)
     return None
 
 
@@ -498,8 +481,7 @@ def _stream_and_command(
     if step is Step.TAKEOFF and autopilot.climbs:
         return Stream.CLIMB, None
     if step is Step.LAND:
-        landed_s = memory.landed_since_s
-        if landed_s is not None and now.now_s - landed_s > _GROUNDED_S:
+        if memory.grounded.seconds(now.now_s) > _GROUNDED_S:
             return Stream.NONE, CommandRequest.DISARM
         if now.mode is FlightMode.LAND:
             return Stream.NONE, None
@@ -507,7 +489,7 @@ def _stream_and_command(
         fresh = now.controller_age_s <= STOP_S and now.mode is FlightMode.OWN
         return (Stream.HOLD if fresh else Stream.NONE), CommandRequest.LAND
     follows = step is Step.FLY and now.controller_age_s <= STALE_S
-    recovered = step is Step.FAILSAFE and memory.good_for_s(now.now_s) > RECOVERED_S
+    recovered = step is Step.FAILSAFE and memory.good.seconds(now.now_s) > RECOVERED_S
     stream = {
         Step.STREAM: early,
         Step.MODE: early,

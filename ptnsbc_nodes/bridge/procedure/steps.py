@@ -130,6 +130,25 @@ class VehicleSnapshot:
         return f" ({self.vehicle_warning})" if self.vehicle_warning else ""
 
 
+class Lasting:
+    """The time for which a condition has been true without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def update(self, holds: bool, now_s: float) -> float:
+        """The time at `now_s`; negative while the condition is false."""
+        if not holds:
+            self._since_s = None
+            return -1.0
+        self._since_s = now_s if self._since_s is None else self._since_s
+        return now_s - self._since_s
+
+    def seconds(self, now_s: float) -> float:
+        """The time at `now_s` if the condition is still as it was; zero while it is false."""
+        return 0.0 if self._since_s is None else now_s - self._since_s
+
+
 class ProcedureOutput(NamedTuple):
     """The actions of one instant."""
 

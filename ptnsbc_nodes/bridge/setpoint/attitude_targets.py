@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import detrend, lfilter
+from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.timebase import Clock, loop_gain
@@ -205,7 +206,6 @@ _RATE_LOOP_S = 0.04  # part of the lag of the tilt; the motors are in the delay
 _STEEPER = 1.12  # error of the slope that is found
 _MOST_KAPPA_TENTHS = 100
 _ALL_AXES = np.ones(3, dtype=bool)
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def attitude_from_wrench(
@@ -220,8 +220,8 @@ def attitude_from_wrench(
     rates = odometry[10:13] + wrench[3:6] / (np.array(config.nominal.inertia) * gain)
     tilt, yaw = config.attitude_gain
     turn = rates / np.array([tilt, tilt, yaw])
-    desired = quaternion_product(odometry[3:7], quaternion_exp(turn))
-    return limit_tilt(desired, max_tilt_rad)
+    desired = Rotation.from_quat(odometry[3:7]) * Rotation.from_rotvec(turn)
+    return limit_tilt(desired.as_quat(), max_tilt_rad)
 
 
 def unsaturated_axes(wrench: Array, config: ControllerConfig) -> Array:
@@ -233,37 +233,17 @@ def unsaturated_axes(wrench: Array, config: ControllerConfig) -> Array:
     return np.asarray(np.abs(wrench[3:6]) < _AT_LIMIT * np.array(config.max_torque))
 
 
-def quaternion_product(a: Array, b: Array) -> Array:
-    """Quaternion a b, both x y z w."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return np.array(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
-    )
-
-
-def quaternion_exp(turn: Array) -> Array:
-    """Quaternion (4,) x y z w of a rotation vector (3,) [rad]."""
-    angle = math.sqrt(float(turn @ turn))
-    scale = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    return np.array([*(scale * turn), math.cos(0.5 * angle)])
-
-
 def limit_tilt(quaternion: Array, max_tilt_rad: float) -> Array:
     """The attitude turned straight back until its thrust axis is within the allowed tilt."""
-    up = rotation_from_quaternion(quaternion)[:, 2]
+    attitude = Rotation.from_quat(quaternion)
+    up = attitude.as_matrix()[:, 2]
     tilt = math.acos(min(max(float(up[2]), -1.0), 1.0))
     level = math.hypot(up[0], up[1])
     if tilt <= max_tilt_rad or level < 1e-9:
         return quaternion
     axis = np.array([-up[1], up[0], 0.0]) / level  # a turn about it increases the tilt
-    back = quaternion_product(quaternion_exp(-(tilt - max_tilt_rad) * axis), quaternion)
-    return back / math.sqrt(float(back @ back))
+    back = Rotation.from_rotvec(-(tilt - max_tilt_rad) * axis)
+    return np.asarray((back * attitude).as_quat())
 
 
 def attitude_from_force(force_enu: Array, yaw_enu_rad: float) -> Array:
@@ -272,8 +252,8 @@ def attitude_from_force(force_enu: Array, yaw_enu_rad: float) -> Array:
     level = math.hypot(up[0], up[1])
     tilt = math.acos(min(max(float(up[2]), -1.0), 1.0))
     axis = np.zeros(3) if level < 1e-9 else np.array([-up[1], up[0], 0.0]) / level
-    heading = quaternion_exp(np.array([0.0, 0.0, yaw_enu_rad]))
-    return quaternion_product(quaternion_exp(tilt * axis), heading)
+    heading = Rotation.from_rotvec([0.0, 0.0, yaw_enu_rad])
+    return np.asarray((Rotation.from_rotvec(tilt * axis) * heading).as_quat())
 
 
 class PointHold:
@@ -337,8 +317,8 @@ class BodyRateEstimator:
         if last is None or dt > self._MAX_GAP_S:
             self._rates = np.zeros(3)
         else:
-            step = quaternion_product(last * _CONJUGATE, quaternion)
-            measured = 2.0 * np.copysign(1.0, step[3]) * step[0:3] / dt
+            turn = Rotation.from_quat(last).inv() * Rotation.from_quat(quaternion)
+            measured = turn.as_rotvec() / dt
             if np.abs(measured).max() > self._MAX_RAD_S:
                 measured = np.zeros(3)  # the target jumped: that is no motion of the target
             smoothed = self._rates + dt / (self.SMOOTHING_S + dt) * (measured - self._rates)
@@ -413,14 +393,6 @@ class AttitudeTargets:
         return AttitudeTarget(quaternion, rates, thrust)
 
 
-class AttitudeResponse(NamedTuple):
-    """Lateness of a vehicle behind an attitude target."""
-
-    delay_s: float  # from the state that a target answers to its force
-    tilt_lag_s: float  # of the tilt behind the target
-    led: bool = True  # whether it flies the rates of roll and pitch that are sent with a target
-
-
 def _rise(config: AgentConfig, kappa_1_s: float, flown: Any, observed: bool, s: Any) -> float:
     """Largest rise of a position loop; `flown`: acceleration per wanted one at the complex frequencies `s` (K,)."""
     force, pole = config.controller.force, config.controller.observer_bandwidth if observed else 0.0
@@ -435,20 +407,24 @@ def _rise(config: AgentConfig, kappa_1_s: float, flown: Any, observed: bool, s: 
     return float(np.abs(forward / (1.0 + loop)).max())
 
 
-def largest_force_kappa_1_s(config: AgentConfig, response: AttitudeResponse) -> float:
+def largest_force_kappa_1_s(
+    config: AgentConfig, delay_s: float, tilt_lag_s: float, *, led: bool = True
+) -> float:
     """Largest gain [1/s] of the velocity loop with which the position loop rises by less than a third, in steps of 0.1.
 
+    `delay_s` is from the state that a target answers to its force, `tilt_lag_s` that of the tilt; `led`: the vehicle
+    flies the rates of roll and pitch that are sent with a target.
     It counts a thrust that is 12 % steeper than known, a tilt that is a quarter slower, and every shorter delay. It is
     0 where no gain will do.
     """
     s = 1j * np.geomspace(0.1, 40.0, 200)
-    ahead = s / (1.0 + BodyRateEstimator.SMOOTHING_S * s) if response.led else 0.0 * s
+    ahead = s / (1.0 + BodyRateEstimator.SMOOTHING_S * s) if led else 0.0 * s
     cases = []
     for share in (0.0, 0.5, 1.0):
-        late = np.exp(-share * response.delay_s * s)
+        late = np.exp(-share * delay_s * s)
         for slower in (1.0, 1.25):
             rate_s = slower * _RATE_LOOP_S
-            tilt_s = max(slower * response.tilt_lag_s - rate_s, rate_s)
+            tilt_s = max(slower * tilt_lag_s - rate_s, rate_s)
             tilt = (1.0 + tilt_s * ahead) / (1.0 + tilt_s * s * (1.0 + rate_s * s))
             cases.append((late * tilt, False))  # the observer knows the tilt: it sees no lag
         cases += [(late, True), (_STEEPER * late, True)]

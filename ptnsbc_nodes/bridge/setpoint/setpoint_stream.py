@@ -21,11 +21,7 @@ from ptnsbc_io.mavlink.autopilots import (
 )
 from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.attitude_targets import (
-    AttitudeResponse,
-    AttitudeTargets,
-    largest_force_kappa_1_s,
-)
+from ptnsbc_nodes.bridge.setpoint.attitude_targets import AttitudeTargets, largest_force_kappa_1_s
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard, allowed
 from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     DragEstimator,
@@ -161,7 +157,7 @@ class GainFit:
         """
         tilt_lag_s = _TILT_LAG_S if self._link.tilt_lag_s is None else self._link.tilt_lag_s
         config = self._config
-        most = largest_force_kappa_1_s(config, AttitudeResponse(delay_s, tilt_lag_s, led))
+        most = largest_force_kappa_1_s(config, delay_s, tilt_lag_s, led=led)
         kappa, pole = config.controller.force.kappa, config.controller.observer_bandwidth
         swings = f"the vehicle would swing, {delay_s:.3f} s from a state to its force: expected"
         if most == 0.0:  # then the observer is too fast, or the planner
@@ -280,22 +276,17 @@ class SetpointStream:
         if tick.stream is Stream.PLANNER and tick.reply is not None:
             self.latency.add(tick.now_s - tick.reply.odometry.arrived_s)
             return self._follow(tick, tick.reply, dt)
+        target = self._hold
         if tick.stream is Stream.CLIMB:
-            return self._hold_at(
-                self.climb.target(tick.odometry, dt, self.guard.limits.up_m_s), tick, dt
-            )
-        if tick.stream is Stream.APART and self._hold is not None:
-            self._move_to_layer(self._hold, tick, dt)
-            return self._hold_at(self._hold, tick, dt)
-        if tick.stream is Stream.HOLD and self._hold is not None:
-            return self._hold_at(self._hold, tick, dt)
-        return None
-
-    def _move_to_layer(self, target: _HoldPoint, tick: StreamInput, dt: float) -> None:
-        """Towards the height of the layer, at a walking pace, and never far ahead of the vehicle."""
-        height_m, step_m = float(tick.odometry[2]), dt * min(_CLIMB_M_S, self.guard.limits.down_m_s)
-        ahead = min(max(self.layer_m, height_m - _AHEAD_M), height_m + _AHEAD_M)
-        target.position[2] += min(max(ahead - target.position[2], -step_m), step_m)
+            target = self.climb.target(tick.odometry, dt, self.guard.limits.up_m_s)
+        elif tick.stream is Stream.APART and target is not None:
+            # Towards the height of the layer, at a walking pace, and never far ahead of the vehicle.
+            height_m, step_m = tick.odometry[2], dt * min(_CLIMB_M_S, self.guard.limits.down_m_s)
+            ahead = min(max(self.layer_m, height_m - _AHEAD_M), height_m + _AHEAD_M)
+            target.position[2] += min(max(ahead - target.position[2], -step_m), step_m)
+        elif tick.stream is not Stream.HOLD:
+            return None
+        return None if target is None else self._hold_at(target, tick, dt)
 
     def _restart(self, tick: StreamInput) -> None:
         self._stream = tick.stream

@@ -74,13 +74,9 @@ def inverse(response: VelocityResponse, smoothing_s: float = _SMOOTHING_S) -> In
 def flown_per_wanted(
     response: VelocityResponse, lead: Inverse | None, drag_1_s: float, s: Any
 ) -> Array:
-    """Velocity that a vehicle flies per velocity that is wanted, at complex frequencies [1/s].
+    """Velocity that a vehicle flies per velocity that is wanted, at complex frequencies `s` [1/s].
 
-    Args:
-        response: the vehicle.
-        lead: what is sent in place of the wanted velocity; None: the wanted velocity alone.
-        drag_1_s: specific drag of the vehicle; the lead knows it.
-        s: one complex number or an array of them.
+    `lead` is what is sent in place of the wanted velocity; None: the wanted velocity alone. It knows the specific drag.
     """
     s = np.asarray(s)
     sent, push = np.ones_like(s), np.zeros_like(s)
@@ -188,9 +184,7 @@ class VelocityLead:
     def setpoint(self, wanted: Array, drag_1_s: float) -> tuple[Array, Array]:
         """Velocity (2,) [m/s] and acceleration (2,) [m/s^2] to send one period after those before.
 
-        Args:
-            wanted: (2,) horizontal velocity [m/s, ENU] that the vehicle is meant to fly.
-            drag_1_s: specific drag of the vehicle.
+        `wanted` (2,) is the horizontal velocity [m/s, ENU] that the vehicle is meant to fly.
         """
         velocity = wanted
         if self._velocity:

@@ -17,7 +17,7 @@ from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.types import PROFILE_SOFT, LoopGain
 from ptnsbc_io.mavlink.autopilots import VelocityResponse
 from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_nodes.bridge import hover_test
+from ptnsbc_nodes.bridge import bridge, hover_test
 from ptnsbc_nodes.bridge.hover_test import (
     Excitation,
     FrequencyPoint,
@@ -144,7 +144,7 @@ class HoverProcess:
         )
         monkeypatch.setenv("ROS_DOMAIN_ID", "7")
         monkeypatch.setattr(hover_test, "time", clock)
-        monkeypatch.setattr(hover_test, "connect", lambda _where: self.world.wire)
+        monkeypatch.setattr(bridge, "connect", lambda _where: self.world.wire)
         monkeypatch.setattr(hover_test, "runtime_folder", lambda _domain: folder)
         monkeypatch.setattr(hover_test.environment, "prefer_punctuality", lambda: True)
         monkeypatch.setattr(MavlinkLink, "wait", lambda _link, _seconds: self._tick())

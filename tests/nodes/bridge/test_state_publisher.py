@@ -1,7 +1,6 @@
 """The published state: in the world frame, on our clock, and only while it is fresh and plausible."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_io.wire import VelocityTemplate, decode_velocity
-from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.state_publisher import (
     ControllerSetpoints,
     PublishedOdometry,
@@ -36,11 +35,8 @@ class Flown:
         self.vehicle = VehicleMonitor(PX4)
         self.sync = TimeSync()
         self.published = []  # stamp and odometry
-        outputs = SimpleNamespace(
-            odom=lambda stamp_ns, odometry: self.published.append((stamp_ns, odometry.copy()))
-        )
-        clocks = Clocks(lambda: self.now, lambda: self.wall_ns)
-        ports = BridgePorts(BridgeInputs(), outputs, clocks)
+        ports = BridgePorts(lambda: self.now, lambda: self.wall_ns)
+        ports.odom = lambda stamp_ns, odometry: self.published.append((stamp_ns, odometry.copy()))
         self.publisher = StatePublisher(scenario, uav, self.vehicle, self.sync, ports)
         self.world, self.controller = self.publisher.world, self.publisher.controller
         self.boot_at = 90.0

@@ -26,7 +26,7 @@ def bridge(step, *, armed, flew, silence_s):
         ),
         link=SimpleNamespace(peer=("127.0.0.1", 14580)),
         ports=SimpleNamespace(
-            clocks=SimpleNamespace(steady_s=lambda: 100.0),
+            steady_s=lambda: 100.0,
             inputs=SimpleNamespace(order=SimpleNamespace(text="kill")),
         ),
         placement=SimpleNamespace(text=""),
@@ -48,9 +48,7 @@ def bridge(step, *, armed, flew, silence_s):
 )
 def test_after_the_flight_the_last_word_of_the_vehicle_stands(step, armed, flew, silence_s, heard):
     """A starved bridge answered a kill three seconds after it had stopped the motors: "no vehicle"."""
-    found = vehicle_record(
-        "bridge1", bridge(step, armed=armed, flew=flew, silence_s=silence_s), BASE
-    )
+    found = vehicle_record(bridge(step, armed=armed, flew=flew, silence_s=silence_s), BASE)
     assert found.heard is heard
 
 

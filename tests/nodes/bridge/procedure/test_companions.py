@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Companions, StandingPlace
+from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Companions
 from ptnsbc_nodes.bridge.procedure.steps import Companion, Step
 
 KEEP_OUT_M, SPACING_M = 0.5, 1.0
@@ -71,7 +71,7 @@ def test_who_gives_up_is_named_with_its_reason():
 def test_vehicles_that_stand_at_one_place_are_not_armed(apart_m, errors_m, refused):
     one = companions(1)
     one.report(1, other(x=apart_m, error_m=errors_m[1]), 0.0)
-    text = one.too_near(StandingPlace((0.0, 0.0, 0.3), errors_m[0]))
+    text = one.too_near((0.0, 0.0, 0.3), errors_m[0])
     assert bool(text) is refused
     if refused:
         assert f"stands {apart_m:.2f} m from the vehicle of bridge1" in text
@@ -81,17 +81,17 @@ def test_who_stands_close_climbs_in_the_order_of_the_ids():
     second = companions(1, 3)
     second.report(1, other(Step.TAKEOFF, x=1.2, height_m=0.5), 0.0)
     second.report(3, other(Step.ARMED, x=1.0), 0.0)
-    here = StandingPlace((0.0, 0.0, 0.0), 0.0)
-    assert second.climbs_first(here) == "bridge1"
+    here = ((0.0, 0.0, 0.0), 0.0)
+    assert second.climbs_first(*here) == "bridge1"
     second.report(1, other(Step.TAKEOFF, x=1.2, height_m=1.6), 0.2)
-    assert second.climbs_first(here) == ""
+    assert second.climbs_first(*here) == ""
     second.report(1, other(Step.ARMED, x=1.6), 0.4)  # far enough: side by side
-    assert second.climbs_first(here) == ""
+    assert second.climbs_first(*here) == ""
 
 
 def test_a_vehicle_with_a_keep_out_of_its_own_needs_more_room():
-    pair, here = companions(1, wide=(1,)), StandingPlace((0.0, 0.0, 0.0), 0.0)
+    pair, here = companions(1, wide=(1,)), ((0.0, 0.0, 0.0), 0.0)
     pair.report(1, other(x=1.4), 0.0)
-    assert "expected at least 1.50 m, the keep-out of 1.5 m" in pair.too_near(here)
+    assert "expected at least 1.50 m, the keep-out of 1.5 m" in pair.too_near(*here)
     pair.report(1, other(x=2.4), 0.0)
-    assert (pair.too_near(here), pair.climbs_first(here)) == ("", "bridge1")
+    assert (pair.too_near(*here), pair.climbs_first(*here)) == ("", "bridge1")

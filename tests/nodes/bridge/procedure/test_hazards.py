@@ -10,17 +10,12 @@ pytest.importorskip("pymavlink")
 from ptnsbc_core.curves.trajectory import reference as leader_at
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.bridge.ports import BridgeInputs
-from ptnsbc_nodes.bridge.procedure.hazards import (
-    AbortLimits,
-    FlightMonitor,
-    LeaderReference,
-    Sight,
-    place_velocity,
-)
+from ptnsbc_nodes.bridge.procedure.hazards import FlightMonitor, LeaderReference, Sight
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import places_beside_leader
+from ptnsbc_sim.scenario.mavlink import Abort
 
-LIMITS = AbortLimits(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
+LIMITS = Abort(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
 NOBODY, DT = np.empty((0, 7)), 0.02
 
 
@@ -94,10 +89,14 @@ def test_a_jump_of_the_position_is_an_estimator_reset():
     def path(t):
         return (0.2 * t + (1.5 if t > 1.01 else 0.0), 0.0, 8.0)
 
-    reason, at_s = fly(lambda t: path(t), 3.0, limits=LIMITS._replace(swing_m_s=0, away_m_s=0))
+    reason, at_s = fly(
+        lambda t: path(t), 3.0, limits=LIMITS.model_copy(update=dict(swing_m_s=0, away_m_s=0))
+    )
     assert reason == "its position jumped by 1.5 m"
     assert at_s == pytest.approx(1.02)
-    assert fly(lambda t: (4.0 * t, 0.0, 8.0), 3.0, limits=LIMITS._replace(away_m_s=0)) == ("", None)
+    assert fly(
+        lambda t: (4.0 * t, 0.0, 8.0), 3.0, limits=LIMITS.model_copy(update={"away_m_s": 0})
+    ) == ("", None)
 
 
 @pytest.mark.parametrize("period_s", [2.0, 4.0, 6.0])
@@ -154,7 +153,10 @@ def test_an_error_that_grows_slowly_while_the_planner_wants_the_vehicle_back(spe
     assert "its error grows: for 3 s it flies away from its place" in reason
     assert at_s == pytest.approx(1.0 / 1.2 / speed_m_s + 3.0, abs=0.05)
     assert speed_m_s * at_s < 4.0
-    assert fly(carried, 20.0, wanted=back, limits=LIMITS._replace(against_m_s=0)) == ("", None)
+    assert fly(carried, 20.0, wanted=back, limits=LIMITS.model_copy(update={"against_m_s": 0})) == (
+        "",
+        None,
+    )
     assert fly(carried, 20.0) == ("", None)  # nothing says where it should fly
 
 
@@ -184,7 +186,7 @@ def test_a_vehicle_that_obeys_or_swings_about_its_place_is_not_carried_off():
 
 
 def test_a_limit_of_zero_is_off():
-    none = AbortLimits(0.0, 0.0, 0.0, 0.0, 0.0)
+    none = Abort(separation_share=0, swing_m_s=0, away_m_s=0, against_m_s=0, jump_m=0)
     assert fly(
         lambda t: (9.0 * math.sin(3 * t), 0, 8), 9.0, others=one_at(0, 0, 8), limits=none
     ) == (
@@ -207,16 +209,18 @@ def test_where_uavs_come_and_go_a_vehicle_may_be_fast_towards_a_place(speed_m_s,
 
 
 @pytest.mark.parametrize(("name", "t"), [("split_join", 18.0), ("figure_eight", 9.0)])
-def test_the_formations_motion_is_that_of_the_own_place(name, t):
+def test_the_formations_motion_is_that_of_the_own_place(monkeypatch, name, t):
     """Of the head of a group that leaves, and of the tip of a V that turns."""
     found = load_scenario(name)
     config = agent_config(found, 3)
     around = np.array([t - 1e-4, t + 1e-4])
     leader = np.array([leader_at(config.trajectory, at).position for at in around])
     places = leader + places_beside_leader(found, 3, around)
-    moves = place_velocity(config, t, slot_known=True)
+    flown = LeaderReference(found, 3)
+    moves = flown.place_velocity(t)
     np.testing.assert_allclose(moves, (places[1] - places[0]) / 2e-4, atol=1e-6)
-    alike = place_velocity(config, t, slot_known=False)
+    monkeypatch.setattr(type(found.formation), "has_open_slots", True)
+    alike = flown.place_velocity(t)
     np.testing.assert_allclose(alike, (leader[1] - leader[0]) / 2e-4, atol=1e-6)
     assert np.linalg.norm(moves - alike) > 0.3
 

@@ -23,7 +23,6 @@ from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaterni
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import AdaptationState
 from ptnsbc_nodes.bridge.setpoint.attitude_targets import (
-    AttitudeResponse,
     AttitudeTargets,
     BodyRateEstimator,
     HoverThrust,
@@ -169,7 +168,7 @@ def test_a_vehicle_that_lags_is_not_chased_round():
 
 
 def most(config, delay_s, tilt_lag_s=0.165):
-    return largest_force_kappa_1_s(config, AttitudeResponse(delay_s, tilt_lag_s))
+    return largest_force_kappa_1_s(config, delay_s, tilt_lag_s)
 
 
 def step_response(config, kappa_1_s, delay_s, tilt_lag_s):
@@ -212,8 +211,7 @@ def test_a_vehicle_that_flies_no_rates_of_the_target_bears_more_delay_and_less_l
 
     def both(delay_s, tilt_lag_s):
         return [
-            largest_force_kappa_1_s(flown, AttitudeResponse(delay_s, tilt_lag_s, led=led))
-            for led in (True, False)
+            largest_force_kappa_1_s(flown, delay_s, tilt_lag_s, led=led) for led in (True, False)
         ]
 
     led, bare = both(0.05, 0.12)
