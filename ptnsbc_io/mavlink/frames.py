@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.types import Array
 
 _HALF = math.sqrt(0.5)
@@ -25,35 +26,22 @@ class GeoPoint(NamedTuple):
     altitude_m: float  # above mean sea level
 
 
-def vector_enu_to_ned(vector_enu: Array) -> Array:
+def vector_enu_to_ned(vector: Array) -> Array:
     """(3,) position, velocity or acceleration, world."""
-    return np.array([vector_enu[1], vector_enu[0], -vector_enu[2]])
+    return np.array([vector[1], vector[0], -vector[2]])
 
 
-def vector_ned_to_enu(vector_ned: Array) -> Array:
-    """(3,) position, velocity or acceleration, world."""
-    return np.array([vector_ned[1], vector_ned[0], -vector_ned[2]])
-
-
-def vector_flu_to_frd(vector_flu: Array) -> Array:
+def vector_flu_to_frd(vector: Array) -> Array:
     """(3,) velocity, rates or force, body."""
-    return np.array([vector_flu[0], -vector_flu[1], -vector_flu[2]])
+    return np.array([vector[0], -vector[1], -vector[2]])
 
 
-def vector_frd_to_flu(vector_frd: Array) -> Array:
-    """(3,) velocity, rates or force, body."""
-    return np.array([vector_frd[0], -vector_frd[1], -vector_frd[2]])
-
-
-def wrapped(angle_rad: float) -> float:
-    """The same angle in (-pi, pi]."""
-    turned = math.remainder(angle_rad, 2.0 * math.pi)
-    return math.pi if turned == -math.pi else turned
+vector_ned_to_enu, vector_frd_to_flu = vector_enu_to_ned, vector_flu_to_frd
 
 
 def yaw_enu_to_ned(yaw_enu_rad: float) -> float:
     """Heading: counter-clockwise from east to clockwise from north, in (-pi, pi]; the same the other way round."""
-    return wrapped(0.5 * math.pi - yaw_enu_rad)
+    return -wrap_angle(yaw_enu_rad - 0.5 * math.pi)
 
 
 def quaternion_ned_frd_to_enu_flu(wxyz: Array) -> Array:

@@ -172,12 +172,12 @@ def _after_frames(buf: bytes, what: str, frames: int, size: int) -> tuple[str, i
             at = 16 + (length + 3 & -4)
             at += 4 + int(_LENGTH[order].unpack_from(buf, at)[0])
         at = 4 + (at + 3 & -8)
-        if at + size > len(buf):
-            raise WireError(
-                f"{what}: {len(buf)} bytes: expected at least {at + size}, the message is cut"
-            )
     except struct.error:
-        raise WireError(f"{what}: {len(buf)} bytes: expected more, the message is cut") from None
+        at = len(buf) + 1
+    if at + size > len(buf):
+        raise WireError(
+            f"{what}: {len(buf)} bytes: expected at least {at + size}, the message is cut"
+        )
     return order, seconds * NANOSECONDS + nanoseconds, at
 
 

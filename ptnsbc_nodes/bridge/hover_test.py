@@ -63,11 +63,6 @@ class Tone(NamedTuple):
     begin_s: float  # since the start of the test
     end_s: float
 
-    @property
-    def evaluated_s(self) -> float:
-        """From where on it counts: the vehicle swings in before."""
-        return self.begin_s + 1.0 / self.hertz
-
 
 class FrequencyPoint(NamedTuple):
     """The response at one frequency: flown per sent velocity."""
@@ -145,7 +140,8 @@ class Excitation:
 
 def _phasor(tone: Tone, rows: Array) -> tuple[complex, float]:
     """Least squares of a sinusoid beside a constant and a drift; and the root of the mean square of what is left."""
-    rows = rows[(rows[:, 0] >= tone.evaluated_s) & (rows[:, 0] < tone.end_s)]
+    # The vehicle swings in within the first period.
+    rows = rows[(rows[:, 0] >= tone.begin_s + 1.0 / tone.hertz) & (rows[:, 0] < tone.end_s)]
     if len(rows) < _LEAST_SAMPLES:
         raise TuneError(
             f"{len(rows)} samples at {tone.hertz:g} Hz: expected at least {_LEAST_SAMPLES}; see the link to the vehicle"

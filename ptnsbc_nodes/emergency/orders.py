@@ -74,13 +74,10 @@ def runtime_folder(domain: int, fleet: str = "") -> Path:
     Raises:
         RuntimeFolderError: somebody else owns it, or it cannot be made.
     """
-    given = os.environ.get("XDG_RUNTIME_DIR", "")
-    user = os.getuid()
-    base = (
-        Path(given) / "ptnsbc"
-        if given and Path(given).is_dir()
-        else Path(tempfile.gettempdir()) / f"ptnsbc-{user}"
-    )
+    runtime, user = os.environ.get("XDG_RUNTIME_DIR", ""), os.getuid()
+    base = Path(tempfile.gettempdir()) / f"ptnsbc-{user}"
+    if runtime and Path(runtime).is_dir():
+        base = Path(runtime) / "ptnsbc"
     # A namespace may hold `_` and never `.`: /a/b and /a_b have folders of their own.
     folder = base / f"{domain}{fleet.replace('/', '.')}"
     try:
@@ -108,8 +105,7 @@ def latch(folder: Path, order: Order) -> Order:
 
 def latched(folder: Path) -> Order:
     """The order that holds; an empty one when there is none."""
-    found = read_json(folder / _ORDER_FILE)
-    text = found.get("order")
+    text = read_json(folder / _ORDER_FILE).get("order")
     return (parse_order(text) if isinstance(text, str) else None) or Order()
 
 

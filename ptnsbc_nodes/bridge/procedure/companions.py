@@ -187,7 +187,7 @@ class Placement:
     def layer_m(self, middle_m: float, guard: SetpointGuard) -> float:
         """The height of this vehicle's layer; all bridges compute the same layers about the leader's height."""
         apart_m, last = self._mavlink.abort.layer_m, len(self._uav_ids) - 1
-        low_m = max(middle_m - 0.5 * last * apart_m, _LOWEST_M, guard.lowest_m)
-        high_m = min(low_m + last * apart_m, guard.highest_m)
-        low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, guard.lowest_m)
+        low_m = max(middle_m - 0.5 * last * apart_m, _LOWEST_M, float(guard.low[2]))
+        high_m = min(low_m + last * apart_m, float(guard.high[2]))
+        low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, float(guard.low[2]))
         return low_m + (high_m - low_m) * self._uav_ids.index(self._uav_id) / max(last, 1)

@@ -47,8 +47,8 @@ class SetpointGuard:
     def __init__(self, fence: Geofence, limits: SetpointLimits) -> None:
         self.limits = limits
         self._radius_m = math.inf if fence.radius_m is None else fence.radius_m
-        self._low = np.array([-np.inf] * 3 if fence.box_min_m is None else fence.box_min_m)
-        self._high = np.array([np.inf] * 3 if fence.box_max_m is None else fence.box_max_m)
+        self.low = np.array([-np.inf] * 3 if fence.box_min_m is None else fence.box_min_m)
+        self.high = np.array([np.inf] * 3 if fence.box_max_m is None else fence.box_max_m)
         self._slack_m, self._ahead_s = fence.slack_m, fence.ahead_s
         self.clamped: Counter[str] = Counter()
 
@@ -58,8 +58,8 @@ class SetpointGuard:
         It points inwards where the vehicle is outside, or will be when the setpoint takes effect.
         """
         predicted, limits = self.ahead(position_enu, moving_enu), self.limits
-        high = _APPROACH_1_S * (self._high - predicted)  # negative outside: inwards
-        low = -_APPROACH_1_S * (predicted - self._low)
+        high = _APPROACH_1_S * (self.high - predicted)  # negative outside: inwards
+        low = -_APPROACH_1_S * (predicted - self.low)
         out = np.clip(np.array(velocity_enu, dtype=np.float64), low, high)
         if np.abs(out - velocity_enu).max() > _EPSILON:
             self.clamped["fence"] += 1
@@ -82,16 +82,6 @@ class SetpointGuard:
             self.clamped["down"] += 1
         return out
 
-    @property
-    def lowest_m(self) -> float:
-        """Height of the fence's floor."""
-        return float(self._low[2])
-
-    @property
-    def highest_m(self) -> float:
-        """Height of the fence's ceiling."""
-        return float(self._high[2])
-
     def ahead(self, position_enu: Array, moving_enu: Array) -> Array:
         """The place of the vehicle (3,) [m] when a setpoint of now takes effect."""
         return np.asarray(position_enu + self._ahead_s * moving_enu)
@@ -102,7 +92,7 @@ class SetpointGuard:
 
     def position(self, position_enu: Array) -> Array:
         """The position setpoint (3,) [m] that may be sent: inside the fence."""
-        out = np.clip(np.array(position_enu, dtype=np.float64), self._low, self._high)
+        out = np.clip(np.array(position_enu, dtype=np.float64), self.low, self.high)
         distance = math.hypot(out[0], out[1])
         if distance > self._radius_m:
             out[0:2] *= self._radius_m / distance
@@ -121,7 +111,7 @@ class SetpointGuard:
     def _breach_at(self, position: Array) -> str:
         if self._excess(position) <= self._slack_m:
             return ""
-        outside = np.maximum(self._low - position, position - self._high)
+        outside = np.maximum(self.low - position, position - self.high)
         worst = int(np.argmax(outside))
         if outside[worst] > self._slack_m:
             return f"{'xyz'[worst]} = {position[worst]:.1f} m"
@@ -130,5 +120,5 @@ class SetpointGuard:
 
     def _excess(self, position: Array) -> float:
         """The distance of a position from the fence [m]; negative inside."""
-        box = float(np.maximum(self._low - position, position - self._high).max())
+        box = float(np.maximum(self.low - position, position - self.high).max())
         return max(box, math.hypot(position[0], position[1]) - self._radius_m)

@@ -141,8 +141,9 @@ class _Filter:
         while above[0] == 0.0 and below[0] == 0.0:
             above, below = above[1:], below[1:]
         sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
-        rows: list[list[float]] = np.delete(sections, 3, axis=1).tolist()
-        self._sections = rows  # b0 b1 b2 a1 a2
+        self._sections: list[list[float]] = np.delete(
+            sections, 3, axis=1
+        ).tolist()  # b0 b1 b2 a1 a2
         self._rest = sosfilt_zi(sections)
         self._memory: list[list[list[float]]] | None = None  # two numbers per axis and section
 
@@ -154,18 +155,15 @@ class _Filter:
         """The output (2,) after one more period."""
         if self._memory is None:
             self._memory = (value[:, None, None] * self._rest).tolist()
-        return np.array(
-            [self._pass(x, axis) for x, axis in zip(value.tolist(), self._memory, strict=True)]
-        )
-
-    def _pass(self, x: float, memory: list[list[float]]) -> float:
-        """One number through all sections: direct form II transposed."""
-        for (b0, b1, b2, a1, a2), z in zip(self._sections, memory, strict=True):
-            y = b0 * x + z[0]
-            z[0] = b1 * x - a1 * y + z[1]
-            z[1] = b2 * x - a2 * y
-            x = y
-        return x
+        out = []
+        for x, memory in zip(value.tolist(), self._memory, strict=True):
+            for (b0, b1, b2, a1, a2), z in zip(self._sections, memory, strict=True):
+                y = b0 * x + z[0]  # direct form II transposed
+                z[0] = b1 * x - a1 * y + z[1]
+                z[1] = b2 * x - a2 * y
+                x = y
+            out.append(x)
+        return np.array(out)
 
 
 class VelocityLead:

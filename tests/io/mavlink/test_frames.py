@@ -44,8 +44,8 @@ def test_yaw_wraps_into_one_turn():
     other = frames.yaw_enu_to_ned(math.radians(-91.0))  # -179 in NED
     assert math.degrees(one) == pytest.approx(179.0)
     assert math.degrees(other) == pytest.approx(-179.0)
-    assert math.degrees(frames.wrapped(one - other)) == pytest.approx(-2.0)
-    assert frames.wrapped(-math.pi) == math.pi
+    assert math.degrees(math.remainder(one - other, math.tau)) == pytest.approx(-2.0)
+    assert frames.yaw_enu_to_ned(-0.5 * math.pi) == math.pi
 
 
 def test_level_and_pointing_north_is_a_quarter_turn_in_enu():
@@ -104,7 +104,7 @@ def test_euler_angles_of_the_attitude_message(roll, pitch, yaw):
     ours = frames.quaternion_ned_frd_to_enu_flu(frames.quaternion_from_euler_ned(roll, pitch, yaw))
     odometry = np.zeros(13)
     odometry[3:7] = ours
-    off = frames.wrapped(yaw_of(odometry) - frames.yaw_enu_to_ned(yaw))
+    off = math.remainder(yaw_of(odometry) - frames.yaw_enu_to_ned(yaw), math.tau)
     assert off == pytest.approx(0.0, abs=1e-9)
 
 
