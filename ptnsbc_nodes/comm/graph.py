@@ -12,7 +12,6 @@ from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
 from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
-from ptnsbc_sim.scenario.slots import Slots, with_slots
 
 LEAD_TICKS = 4
 """In lock-step a vehicle is at most this many ticks ahead of the slowest: bounds what an inbox keeps."""
@@ -97,10 +96,6 @@ class CommunicationGraph:
             faults=scenario.faults,
             period_ns=scenario.timing.dt_ns,
         )
-
-    def holding(self, slots: Slots) -> CommunicationGraph:
-        """The graph in which every UAV has the edges of its slot."""
-        return self.of(with_slots(self._scenario, slots))
 
     def of(self, scenario: Scenario) -> CommunicationGraph:
         """The graph of another scenario, flown with the same options."""

@@ -459,17 +459,10 @@ class LauncherNode(FleetNode):
     """The node of a launcher, with all that a launcher does in the network."""
 
     def __init__(
-        self,
-        domain: int,
-        name: str = "fleet",
-        namespace: str = "",
-        ros_arguments: Sequence[str] = (),
-        seal: Seal | None = None,
-        *,
-        shared: bool = False,
-        leads: bool = True,
+        self, domain: int, *of_node: Any, shared: bool = False, leads: bool = True, **more: Any
     ) -> None:
-        super().__init__(domain, name, namespace, ros_arguments, seal)
+        """As `FleetNode`; `shared` and `leads` are those of `FleetNews`."""
+        super().__init__(domain, *of_node, **more)
         self.status = FleetStatus(self)
         self.news = FleetNews(self, shared=shared, leads=leads)
         self.leader = LeaderClient(self)

@@ -180,9 +180,9 @@ class UavController:
             return
         held = np.array([slots[uav] for uav in sorted(slots)], dtype=np.float64)
         self.slots = Stamped(t0_ns, held)
-        self.inbox.listen_to(self._edges.holding(slots).senders(self._uav))
-        config = agent_config(with_slots(self._scenario, slots), self._uav)
-        forgotten = NeighbourMotions(UNKNOWN, UNKNOWN)
+        flown, forgotten = with_slots(self._scenario, slots), NeighbourMotions(UNKNOWN, UNKNOWN)
+        self.inbox.listen_to(self._edges.of(flown).senders(self._uav))
+        config = agent_config(flown, self._uav)
         self.go_on(config, estimate_valid=False, motions=forgotten, last_t=math.inf)
 
     def follow(self, scenario: Scenario) -> None:

@@ -13,7 +13,6 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
 from ptnsbc_nodes.comm.announcements import Decision, decode_lost, encode_slots, fault_decoder
 from ptnsbc_nodes.comm.door import (
-    LockstepStamps,
     RealTimeStamps,
     RefusedMessage,
     in_lockstep,
@@ -116,31 +115,26 @@ class Subscriptions:
         return self.hear(topics.odom(uav), decode, take)
 
     def _hear_neighbours(self) -> None:
-        inbox = self._flight.inbox
-        for sender, queue in inbox.state_queues.items():
-            decode = OdometryDecoder(WORLD_FRAME, body_frame(sender, self._endpoints.fleet))
-            self._hear_neighbour(topics.formation_state(sender), decode, queue)
-        for sender, queue in inbox.estimate_queues.items():
-            decode = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
-            self._hear_neighbour(topics.leader_estimate(sender), decode, queue)
+        inbox, fleet = self._flight.inbox, self._endpoints.fleet
+        states, estimates = inbox.state_queues.items(), inbox.estimate_queues.items()
+        heard = [(topics.formation_state(i), body_frame(i, fleet), queue) for i, queue in states]
+        heard += [(topics.leader_estimate(i), WORLD_FRAME, queue) for i, queue in estimates]
+        for topic, frame, queue in heard:
+            decode, rule = OdometryDecoder(WORLD_FRAME, frame), self._clock.stamp_rule()
+            if isinstance(rule, RealTimeStamps):
+                self.hear(topic, in_order(decode, rule), queue.put)
+            else:
+                take = partial(self._take_in_lockstep, full_name(self._node, topic), queue)
+                self.hear(topic, in_lockstep(decode, rule), take)
 
-    def _hear_neighbour(
-        self, topic: Topic, decode: Callable[[bytes], Stamped], queue: MessageQueue
+    def _take_in_lockstep(
+        self, name: str, queue: MessageQueue, message: Stamped | RefusedMessage
     ) -> None:
-        rule = self._clock.stamp_rule()
-        if not isinstance(rule, LockstepStamps):
-            self.hear(topic, in_order(decode, rule), queue.put)
-            return
-        name, refusals = full_name(self._node, topic), self._endpoints.refusals
-
-        def take(message: Stamped | RefusedMessage) -> None:
-            if isinstance(message, Stamped):
-                queue.put(message)
-            else:  # a lock-step flight does not wait for what cannot be used
-                refusals.add(name, message.reason)
-                queue.miss(message.stamp_ns)
-
-        self.hear(topic, in_lockstep(decode, rule), take)
+        if isinstance(message, Stamped):
+            queue.put(message)
+        else:  # a lock-step flight does not wait for what cannot be used
+            self._endpoints.refusals.add(name, message.reason)
+            queue.miss(message.stamp_ns)
 
 
 class Outbox:
