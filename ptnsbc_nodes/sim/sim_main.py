@@ -28,14 +28,8 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.sim.sim_node import sim_node
 
     lifetime = ProcessLifetime()
-    given = node_parameters.overrides(
-        {
-            "scenario": arguments.scenario,
-            "lockstep": arguments.lockstep,
-            "recorded": arguments.recorded,
-            "timing.duration_s": arguments.duration,
-        }
-    )
+    common = {name: getattr(arguments, name) for name in ("scenario", "lockstep", "recorded")}
+    given = node_parameters.overrides({**common, "timing.duration_s": arguments.duration})
     with ros_context(argv), ros_node("sim", "", parameters=given) as node:
         settings = node_parameters.NodeParameters(node, node_parameters.SCENARIO)
         if node.get_parameter("use_sim_time").value:

@@ -214,12 +214,11 @@ class ProcessReports:
 
     def levels(self) -> list[dict[str, Any]]:
         """Level and word of every process that has reported or ended; 0 is well, 1 a warning, 2 an error."""
-
-        def in_order(name: str) -> tuple[str, int]:
-            letters = name.rstrip("0123456789")  # uav2 before uav10
-            return letters, int(name.removeprefix(letters) or 0)
-
-        names = sorted(self._heard.keys() | self._lost, key=in_order)
+        # uav2 before uav10
+        names = sorted(
+            self._heard.keys() | self._lost,
+            key=lambda name: (name.rstrip("0123456789"), len(name), name),
+        )
         return [{"name": name, **self._level(name)} for name in names]
 
     def _level(self, name: str) -> dict[str, Any]:

@@ -383,7 +383,7 @@ class OperatorNode:
         )
 
     def _on_arm(self, _request: Any, response: Any) -> Any:
-        response.accepted, response.message = self.calls.arm()[:2]
+        response.accepted, response.message = self.calls.call(ARM_SERVICE, "launcher")[:2]
         return response
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
@@ -435,14 +435,10 @@ class FleetCalls:
         mission = scenario.mission
         legs = 0 if mission is None else len(mission.legs)
         words = [CANCEL_SERVICE, *map(leg_service, range(2, legs + 1))] if legs else []
-        self._clients = {
+        self.clients = {
             name: self._node.create_client(Trigger, f"{fleet}/formation/{name}")
             for name in (*_LEGS, *words, ARM_SERVICE)
         }
-
-    def are_there(self) -> bool:
-        """True if every service has been found."""
-        return all(client.service_is_ready() for client in self._clients.values())
 
     def begin(self, name: str) -> Answer:
         """Let the leader begin a leg of `_LEGS`."""
@@ -450,15 +446,11 @@ class FleetCalls:
             return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
         return self.call(name)
 
-    def arm(self) -> Answer:
-        """Have the launcher let the vehicles arm."""
-        return self.call(ARM_SERVICE, "launcher")
-
     def call(self, name: str, who: str = "leader") -> Answer:
         """Call a service; waits for the answer."""
         if self._signed:
             return Answer(False, _SEALED)
-        client = self._clients[name]
+        client = self.clients[name]
         if not client.service_is_ready():
             return Answer(False, f"the {who}'s service {client.srv_name} is not there")
         call = client.call_async(Trigger.Request())
