@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# From a clean copy of this checkout: colcon builds it, plain and with --symlink-install, and the executables of
-# the plain build fly 10 s of paper_5, from another folder and without the sources. Then pip installs the same,
-# twice, over what an older version left. Needs .venv (make setup). What is installed there of this project
+# From a clean copy of this checkout: colcon builds it, plain over what an older version left and with
+# --symlink-install, and the executables of the plain build fly 10 s of paper_5, from another folder and without the
+# sources. Then pip installs the same, twice. Needs .venv (make setup). What is installed there of this project
 # is not seen: everything runs in environments like it that have the project from one place only.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -100,12 +100,10 @@ fly() {
   wait "${pids[@]}"
 }
 
-say "colcon build, from a clean copy"
+say "colcon build, over what an older version left"
 bare env
 copy plain
-build plain
 haunt "$scratch/plain/ros2_ws/build/ptnsbc_nodes/build/lib/ptnsbc_nodes"
-say "again, over what an older version left"
 build plain
 [ ! -e "$scratch/env/bin/ptnsbc" ] || die "the environment is not bare"
 installed=$scratch/plain/ros2_ws/install

@@ -10,17 +10,15 @@ from typer.testing import CliRunner
 
 from ptnsbc_tools.cli import app
 
-BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
-@pytest.mark.parametrize("suffix", BEGINS)
-def test_the_picture_is_drawn_and_named(suffix: str, tmp_path: Path) -> None:
-    picture = tmp_path / f"flight.{suffix}"
+def test_the_picture_is_drawn_and_named(tmp_path: Path) -> None:
+    picture = tmp_path / "flight.png"
     words = ["simulate", "paper_5_free", "--duration", "6", "--json", "--picture", str(picture)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
     assert json.loads(result.stdout)["picture"] == str(picture)
-    assert picture.read_bytes().startswith(BEGINS[suffix])
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 10_000
 
 
