@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from typer.testing import CliRunner
 
 from ptnsbc_tools.cli import app
-
 
 
 def test_the_picture_is_drawn_and_named(tmp_path: Path) -> None:
