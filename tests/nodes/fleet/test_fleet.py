@@ -36,7 +36,8 @@ def counts(bag):
 @pytest.mark.slow
 def test_lockstep_flights_have_the_bytes_of_each_other(launch, tmp_path):
     for name in ("a", "b"):
-        flight = launch("--duration", "1", "--bag", str(tmp_path / name / "bag"))
+        words = "--duration", "1", "--processes", "2", "--bag", str(tmp_path / name / "bag")
+        flight = launch(*words)
         assert flight.finish() == 0, flight.lines
         assert not flight.running()
     files = sorted(path.name for path in (tmp_path / "a" / "bag").iterdir())

@@ -303,10 +303,10 @@ def hold(controller, craft, seed=1, silent=False):
 
 
 @pytest.mark.slow
-def test_slope_and_delay_are_found_in_a_hundred_vehicles_in_gusts_and_noise(controller):
+def test_slope_and_delay_are_found_in_forty_vehicles_in_gusts_and_noise(controller):
     random = np.random.default_rng(3)
     slopes, delays, hovers = [], [], []
-    for seed in range(100):
+    for seed in range(40):
         craft = Craft.drawn(random)
         targets, end_s, _ = hold(controller, craft, seed)
         found = targets.thrust_test.found
@@ -392,9 +392,8 @@ def four(kappa_1_s, delay_s, count=None, duration_s=25.0, **parameters):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("delay_s", "kappa_1_s"), [(0.02, 2.5), (0.05, 1.8)])
-def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height(delay_s, kappa_1_s):
-    curve, sag = 1.7, 0.5
+def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height():
+    curve, sag, delay_s, kappa_1_s = 1.7, 0.5, 0.05, 1.8
     motors = {"THR_CURVE": curve, "THR_SAG": sag, "BATT_LIFE_S": 150.0}
     fleet = four(kappa_1_s, delay_s, **motors).airborne().form().run(25.6)
     for uav in fleet.uavs.values():
