@@ -35,7 +35,6 @@ _MARK = b"ptnsbc_core.kernel"  # in a source with kernels
 _KEPT_CACHES = 8  # some 3 MB each; several checkouts fly in turn
 _FOLDER_NAME = re.compile(r"[0-9a-f]{16}")
 _HEADER = b"ptnsbc-kernel-2\n"
-_CHECKSUM_SIZE = hashlib.sha256().digest_size
 _AT_EVERY_START = "the laws are compiled at every start"
 
 
@@ -90,7 +89,8 @@ class CacheFolder:
     def __init__(self, root: Path, digest: str) -> None:
         self.path = root / digest
         self._reported = False
-        self._marked = False
+        with suppress(OSError):  # `prune` keeps what was used last, also by other checkouts
+            os.utime(self.path)
 
     def report(self, fault: str, consequence: str = _AT_EVERY_START) -> None:
         """Say the first fault in one line on stderr."""
@@ -99,56 +99,44 @@ class CacheFolder:
             with suppress(OSError, ValueError):  # stderr may be closed
                 print(f"ptnsbc: compile cache {self.path}: {fault}: {consequence}", file=sys.stderr)
 
-    @cached_property
-    def _refused(self) -> bool:
-        """True if another user owns the folder, or the folder of all caches."""
-        for folder in (self.path.parent, self.path):
-            try:
-                owner = folder.stat().st_uid
-            except OSError:  # reading or writing says why
-                return False
-            if owner != os.geteuid():
-                self.report(
-                    f"user {owner} owns {folder}, not user {os.geteuid()}: it is not used",
-                    f"{_AT_EVERY_START}; set PTNSBC_CACHE_DIR to a folder of your own",
-                )
-                return True
-        return False
-
-    def read(self, name: str) -> bytes | None:
-        """The content that `write` has stored, or None."""
-        if self._refused:
-            return None
-        try:
-            with (self.path / name).open("rb") as file:
-                owner, data = os.fstat(file.fileno()).st_uid, file.read()
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            self.report(f"cannot be read ({error.strerror})")
-            return None
-        content = data[len(_HEADER) + _CHECKSUM_SIZE :]
-        if owner != os.geteuid():
-            self.report(f"{name} belongs to user {owner}", "it is not used")
-            return None
-        if data != _sealed(content):
-            self.report_damage(name)
-            return None
-        if not self._marked:  # `prune` keeps what was used last, also by other checkouts
-            self._marked = True
-            with suppress(OSError):  # a cache that may only be read
-                os.utime(self.path)
-        return content
-
     def report_damage(self, name: str) -> None:
         """Say that a file cannot be used."""
         self.report(f"{name} is damaged", "damaged files are compiled again")
 
+    def _is_ours(self, path: Path, descriptor: int | None = None) -> bool:
+        """True if the user who runs the process owns a folder, or a file that has been opened."""
+        owner = os.stat(path if descriptor is None else descriptor).st_uid
+        if owner != os.geteuid():
+            self.report(
+                f"user {owner} owns {path}, not user {os.geteuid()}: it is not used",
+                f"{_AT_EVERY_START}; set PTNSBC_CACHE_DIR to a folder of your own",
+            )
+        return owner == os.geteuid()
+
+    def read(self, name: str) -> bytes | None:
+        """The content that `write` has stored, or None."""
+        path = self.path / name
+        try:
+            with path.open("rb") as file:
+                folders = self._is_ours(self.path.parent) and self._is_ours(self.path)
+                data = file.read() if folders and self._is_ours(path, file.fileno()) else None
+        except OSError as error:
+            if not isinstance(error, FileNotFoundError):
+                self.report(f"cannot be read ({error.strerror})")
+            return None
+        if data is None:
+            return None
+        content = data[len(_sealed(b"")) :]
+        if data != _sealed(content):
+            self.report_damage(name)
+            return None
+        return content
+
     def write(self, name: str, content: bytes) -> None:
         """Store a file in one step, so that other processes never see a part of it."""
-        if self._refused:
-            return
         try:
+            if not all(map(self._is_ours, filter(Path.exists, (self.path.parent, self.path)))):
+                return
             if not self.path.is_dir():
                 self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
                 prune(self.path.parent, self.path)
