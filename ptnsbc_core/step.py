@@ -30,23 +30,22 @@ from ptnsbc_core.behaviours.recovery import (
     stands_still,
     way_out,
 )
-from ptnsbc_core.control.adaptation import initial_observer
-from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
 from ptnsbc_core.control.rigid_body_control import (
     ControlInput,
     VelocityReference,
+    filter_step,
+    initial_observer,
     rigid_body_control,
 )
+from ptnsbc_core.curves.turned import ToldPaths
 from ptnsbc_core.estimator import leader_estimate
 from ptnsbc_core.kernel import by_reference, formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
-from ptnsbc_core.tasks.near_constraints import ObstacleView
-from ptnsbc_core.tasks.obstacle_memory import empty_memory
-from ptnsbc_core.tasks.told_path import ToldPaths
+from ptnsbc_core.tasks.near_constraints import ObstacleView, empty_memory
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
@@ -399,7 +398,7 @@ def step(
 
     on_plan = config.approach == APPROACH_PLANNED and estimate_valid and not holding
     if guided is not None or config.shape.moving:
-        on_plan = False  # where the slots are then, told_path does not know
+        on_plan = False  # where the slots are then, `ToldPaths` does not know
     told = _told_paths(estimate, on_plan, clock, config)
     planned = _plan(state, inputs, behaviour, told, rates, yaw, dt, config)
     command = planned.command

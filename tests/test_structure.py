@@ -70,8 +70,8 @@ LARGE_FOLDERS: dict[str, str] = {}
 
 # Tests of no single module, and what they test.
 TESTS_OF_MORE: dict[str, str] = {
-    "tests/core/tasks/test_clearance_braking.py": "clearance.py with approach.py",
-    "tests/core/tasks/test_clearance_flights.py": "clearance.py with obstacle_memory.py and recovery.py",
+    "tests/core/tasks/test_clearance_braking.py": "clearance.py with near_constraints.py",
+    "tests/core/tasks/test_clearance_flights.py": "clearance.py with near_constraints.py and recovery.py",
     "tests/core/tasks/test_jacobians.py": "all tasks",
     "tests/io/bag/test_hostile.py": "bags that were made to do harm",
     "tests/nodes/bridge/procedure/test_procedure_in_flight.py": "procedure.py, once the vehicle flies",

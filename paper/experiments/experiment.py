@@ -143,7 +143,7 @@ def _causes_table(output: ExperimentFolder) -> Table:
         f"{1e3 * pair_m:.1f} mm off each other, so a perfect controller that goes by told places keeps "
         f"{tolerance_m:g} m in {100 * share:.2f} % of flights at most, and {TOLERANCE_M:g} m, the default, in "
         f"{100 * tight:.1f} %. A follower that sees its neighbours is not "
-        "bound by that: its own error cancels (`ptnsbc_core/association.py`).",
+        "bound by that: its own error cancels (`ptnsbc_core/behaviours/neighbour.py`).",
     )
 
 

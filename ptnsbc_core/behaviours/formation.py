@@ -17,8 +17,8 @@ from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.curves.turned import TurnedStep, plus_scaled, start_of, turned_step
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
-from ptnsbc_core.tasks.approach import homing_speed
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry, evaluate, task_error
+from ptnsbc_core.tasks.near_constraints import homing_speed
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import (
     Clock,

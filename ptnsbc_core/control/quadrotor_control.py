@@ -25,11 +25,11 @@ from ptnsbc_core.algebra import (
     sub3,
     transpose,
 )
-from ptnsbc_core.control.adaptation import observer_step
 from ptnsbc_core.control.rigid_body_control import (
     ControlInput,
     VelocityReference,
     adaptation_step,
+    observer_step,
     saturate_torque,
     sliding_term,
     torque_model,

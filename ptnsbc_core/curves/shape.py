@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import axpy, scale3, store3, sub3
-from ptnsbc_core.curves.piecewise import polynomial, row_at
-from ptnsbc_core.curves.trajectory import Heading, curve_state
+from ptnsbc_core.curves.trajectory import Heading, curve_state, polynomial, row_at
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.timebase import h, h_rate
 from ptnsbc_core.types import Array, Shape, Trajectory, Vector3

@@ -7,8 +7,9 @@ Layout of the eight numbers and of the table:
 - line [1, px, py, pz, vx, vy, vz, yaw];
 - harmonic [2, heading, 0, 0, 0, 0, 0, yaw]: one sine for each axis, whose row of the table (3, 4) is
   centre, amplitude, rate, phase;
-- piecewise [3, heading, period, 0, 0, 0, 0, yaw]: polynomials of x, y, z and yaw, table (S, 33) as in piecewise.py;
-  a period above 0 repeats them.
+- piecewise [3, heading, period, 0, 0, 0, 0, yaw]: polynomials of x, y, z and yaw; a period above 0 repeats them. A row
+  of the table (S, 33) holds for one interval: its first time [s], then eight coefficients of each channel, the highest
+  power first, of the time since the row began. The last row holds for ever.
 
 `heading` is HEADING_*: fixed to `yaw`, along the path, or from the table.
 """
@@ -21,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import axpy, store3
-from ptnsbc_core.curves.piecewise import polynomial, row_at
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.types import (
     HEADING_PATH,
@@ -34,6 +34,9 @@ from ptnsbc_core.types import (
     Vector3,
 )
 
+COEFFICIENTS = 8
+"""Of one polynomial: degree 7, which a curve of minimum snap has."""
+
 _STILL = 1e-12
 """Square of a horizontal speed [m^2/s^2] below which a path has no direction."""
 
@@ -45,6 +48,15 @@ class Reference(NamedTuple):
     velocity: Vector3  # [m/s]
     yaw: float  # [rad]
     acceleration: Vector3  # [m/s^2]
+
+
+class Jet(NamedTuple):
+    """A function of time at one time, and its derivatives."""
+
+    value: float
+    first: float  # [1/s]
+    second: float  # [1/s^2]
+    third: float  # [1/s^3]
 
 
 class Heading(NamedTuple):
@@ -63,6 +75,33 @@ class CurveState(NamedTuple):
     acceleration: Vector3  # [m/s^2]
     jerk: Vector3  # [m/s^3]
     heading: Heading
+
+
+@inline_kernel
+def row_at(table: Array, t: float) -> int:
+    """The row that holds at t [s], by bisection; the first one before all of them."""
+    low, high = 0, table.shape[0]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table[middle, 0] <= t:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@formula
+def polynomial(table: Array, row: int, channel: int, t: float) -> Jet:
+    """One channel of a row at t [s], by Horner's rule."""
+    since = t - table[row, 0]
+    first = 1 + COEFFICIENTS * channel
+    value, slope, bend, twist = 0.0, 0.0, 0.0, 0.0
+    for k in range(COEFFICIENTS):
+        twist = twist * since + bend
+        bend = bend * since + slope
+        slope = slope * since + value
+        value = value * since + table[row, first + k]
+    return Jet(value, slope, 2.0 * bend, 6.0 * twist)
 
 
 @inline_kernel

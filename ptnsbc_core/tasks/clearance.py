@@ -16,15 +16,21 @@ import numpy as np
 from ptnsbc_core.algebra import axpy, dot3, limit_norm, load3, matvec, scale3, store3, sub3
 from ptnsbc_core.kernel import by_reference, inline_kernel, kernel
 from ptnsbc_core.nullspace import null_space_projector
-from ptnsbc_core.tasks import obstacle_memory
-from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, tangent
 from ptnsbc_core.tasks.near_constraints import (
+    ACTIVE_S,
+    LATENCIES,
     ClearanceConstraints,
     ObstacleView,
+    any_used,
+    braking_speed,
     constraint,
     constraints,
+    find_slot,
     is_stale,
     landmarks_of,
+    side_of,
+    tangent,
+    update_memory,
 )
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
@@ -100,39 +106,15 @@ def _add_circulation(
     for m in range(multipliers.shape[0]):
         if multipliers[m] <= 0.0:
             continue
-        slot = obstacle_memory.find_slot(memory, landmarks[m])
+        slot = find_slot(memory, landmarks[m])
         if slot < 0:
             continue
-        ramp = min(memory[slot, obstacle_memory.ACTIVE_S] / config.ramp_s, 1.0)
+        ramp = min(memory[slot, ACTIVE_S] / config.ramp_s, 1.0)
         speed = config.circulation * ramp * multipliers[m]
-        speed *= obstacle_memory.side_of(memory, slot, config.timeout_s)
+        speed *= side_of(memory, slot, config.timeout_s)
         speed *= _stalled(velocity, admissible, load3(near[m], 4), config)
         out = axpy(speed, tangent(rows.normals[m]), out)
     return out
-
-
-@kernel
-def _binding_normals(rows: ClearanceConstraints, multipliers: Array) -> Array:
-    """Normals (A, 3) of the binding constraints."""
-    count = 0
-    for m in range(multipliers.shape[0]):
-        if multipliers[m] > 0.0:
-            count += 1
-    out = np.empty((count, 3))
-    count = 0
-    for m in range(multipliers.shape[0]):
-        if multipliers[m] > 0.0:
-            store3(out[count], 0, rows.normals[m])
-            count += 1
-    return out
-
-
-@kernel
-def _row_space_velocity(jacobian: Array, admissible: Vector3) -> Vector3:
-    """Part of the admissible velocity in the row space of the binding normals: J^+ bound."""
-    if jacobian.shape[0] == 0:
-        return 0.0, 0.0, 0.0
-    return sub3(admissible, matvec(null_space_projector(jacobian), admissible))
 
 
 @inline_kernel
@@ -143,7 +125,7 @@ def _unconstrained(
 
     The told paths only loosen constraints: they are looked at where straight paths bind.
     """
-    if obstacle_memory.any_used(view.memory):
+    if any_used(view.memory):
         return False
     for m in range(view.near.shape[0]):
         one = constraint(position, m, view, True, config)
@@ -167,18 +149,26 @@ def set_based(
             if config.approach == SPEED_BRAKING and dot3(moving, moving) > 0.0:
                 side[m] = 1.0  # both of a pair, and all of a ring, turn the same way
     landmarks = landmarks_of(view.near, rows.normals)
-    after = obstacle_memory.update(view.memory, landmarks, multipliers, side, view.dt, config)
+    after = update_memory(view.memory, landmarks, multipliers, side, view.dt, config)
     secondary = velocity
-    if obstacle_memory.any_used(after):
+    if any_used(after):
         secondary = _add_circulation(
             velocity, rows, multipliers, view.near, landmarks, after, config
         )
         multipliers = admissible_multipliers(secondary, rows)
-    admissible = secondary
+    admissible, count = secondary, 0
+    normals = np.empty(rows.normals.shape)
     for m in range(multipliers.shape[0]):
         admissible = axpy(multipliers[m], rows.normals[m], admissible)
-    jacobian = _binding_normals(rows, multipliers)
-    return ClearanceTask(_row_space_velocity(jacobian, admissible), jacobian, secondary, after)
+        if multipliers[m] > 0.0:
+            store3(normals[count], 0, rows.normals[m])
+            count += 1
+    jacobian, velocity = normals[:count], (0.0, 0.0, 0.0)
+    if (
+        count > 0
+    ):  # J^+ b is the part of the admissible velocity in the row space of the binding normals
+        velocity = sub3(admissible, matvec(null_space_projector(jacobian), admissible))
+    return ClearanceTask(velocity, jacobian, secondary, after)
 
 
 @kernel
@@ -200,7 +190,7 @@ def switched(
         out = scale3(rows.bound[deepest], rows.normals[deepest])
     no_side = np.zeros(binding.shape[0])
     landmarks = landmarks_of(view.near, rows.normals)
-    after = obstacle_memory.update(view.memory, landmarks, binding, no_side, view.dt, config)
+    after = update_memory(view.memory, landmarks, binding, no_side, view.dt, config)
     return ClearanceTask(out, jacobian, velocity, after)
 
 
@@ -244,7 +234,7 @@ def filter_pace(memory: Array, free: FilterPace, config: ClearanceConfig) -> Fil
     The rate of the command is fed forward and reaches the vehicle a lag later. A command that turns within that lag
     makes the velocity overshoot by as much as it turned, and so does a command that ran ahead of the vehicle.
     """
-    if config.approach != SPEED_BRAKING or not obstacle_memory.any_used(memory):
+    if config.approach != SPEED_BRAKING or not any_used(memory):
         return free
     return FilterPace(
         min(free.bandwidth, config.bandwidth), min(free.acceleration, config.deceleration)

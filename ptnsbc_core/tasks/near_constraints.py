@@ -1,25 +1,51 @@
-"""The constraints n.v >= b that near objects put on the velocity of a UAV, (33)-(36), see docs/method.md.
+"""The constraints n.v >= b that near objects put on the velocity of a UAV, (33)-(36), and the memory of these objects.
 
-The approach speed is `braking`, see approach.py, or `linear`: n.v >= n.v_o - alpha (d - d_d), as in (36).
+With d the distance, d_d the object's keep-out radius plus the own margin, and v_o its velocity, an object gives
 
-Positions [m] and velocities [m/s] are world ENU; d_d is the object's keep-out radius plus the own margin.
+    linear     n.v >= n.v_o + alpha (d_d - d),  alpha = Lambda (kappa + Xi inside d_d), as (36)
+    braking    the half space of velocities that can still be braked, docs/notes/clearance.md ("The bound")
+
+The memory keeps for how long a constraint was binding, and on which side its object is passed. Near objects carry no
+identity, so a slot belongs to the object nearest to its position. Rows (8, 7): x y z [m, ENU], side (+1 along e_z x n,
+-1 against), time binding [s], time since it last was binding [s], used.
+
+Positions [m] and velocities [m/s] are world ENU.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import axpy, div3, dot3, load3, norm3, scale3, store3, sub3
-from ptnsbc_core.curves.turned import scaled
+from ptnsbc_core.algebra import add3, axpy, div3, dot3, load3, norm3, scale3, store3, sub3
+from ptnsbc_core.curves.turned import ToldPaths, path_share, scaled
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.tasks import obstacle_memory
-from ptnsbc_core.tasks.approach import COMMON, LATENCIES, SHARE, braking_speed, clear_velocities
 from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
-from ptnsbc_core.tasks.told_path import ToldPaths, path_share
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import SPEED_BRAKING, Array, ClearanceConfig, Vector3, Vector3Like
+
+LATENCIES = 4.0
+"""T per lag tau: the bound has the slope 1/T at the keep-out, and a lag tau overshoots for slopes above 1/(4 tau)."""
+
+SHARE = 0.5
+"""Part of a change of relative velocity that a UAV makes when the other one moves too."""
+
+COMMON = 0.5
+"""Part of the UAV's deviation from its command that it takes the other one to have as well."""
+
+_ASIDE = 0.3
+"""Tangent of the angle within which a straight meeting is passed on the common side."""
+
+_TINY = 1e-9
+
+SLOTS = 8
+SIDE, ACTIVE_S, QUIET_S, USED = 3, 4, 5, 6
+MATCH_RADIUS_M = 1.0
+
+_CHANGE = 0.25
+"""The side changes from this share of timeout_s before it to the same share after it."""
 
 _COINCIDENT_M = 1e-6
 _LEAST_BRAKING = 0.25
@@ -54,6 +80,181 @@ class ClearanceConstraints(NamedTuple):
     depth: Array  # (M,) [m]
 
 
+@kernel
+def empty_memory() -> Array:
+    """An empty memory (8, 7)."""
+    return np.zeros((SLOTS, 7))
+
+
+@inline_kernel
+def find_slot(memory: Array, centre: Vector3Like) -> int:
+    """Used slot nearest to `centre` within MATCH_RADIUS_M, or -1."""
+    nearest = -1
+    least = MATCH_RADIUS_M * MATCH_RADIUS_M
+    for slot in range(SLOTS):
+        if memory[slot, USED] == 0.0:
+            continue
+        offset = sub3(memory[slot], centre)
+        squared = dot3(offset, offset)
+        if squared < least:
+            least = squared
+            nearest = slot
+    return nearest
+
+
+@inline_kernel
+def any_used(memory: Array) -> bool:
+    """True if any slot is in use."""
+    used = 0.0
+    for slot in range(SLOTS):
+        used += memory[slot, USED]
+    return used > 0.0
+
+
+@kernel
+def active_time(memory: Array, centre: Vector3) -> float:
+    """The time for which the object at `centre` has been binding [s]; 0 for a new one."""
+    slot = find_slot(memory, centre)
+    if slot < 0:
+        return 0.0
+    return float(memory[slot, ACTIVE_S])
+
+
+@inline_kernel
+def side_of(memory: Array, slot: int, timeout_s: float) -> float:
+    """Side on which an object is passed, -1 to 1: it changes around timeout_s, and again after another timeout_s.
+
+    The change takes half of that time. A step would saturate the filter, and the tilt of the vehicle beside a slope
+    would lead into it.
+    """
+    left = (timeout_s - memory[slot, ACTIVE_S]) / (_CHANGE * timeout_s)
+    return memory[slot, SIDE] * min(max(left, -1.0), 1.0)
+
+
+@kernel
+def _claim_slot(memory: Array, side: float) -> int:
+    """Take a free slot, or the one that was not binding for the longest time."""
+    slot = 0
+    for candidate in range(SLOTS):
+        if memory[candidate, USED] == 0.0:
+            slot = candidate
+            break
+        if memory[candidate, QUIET_S] > memory[slot, QUIET_S]:
+            slot = candidate
+    memory[slot, SIDE] = -1.0 if side < 0.0 else 1.0
+    memory[slot, ACTIVE_S] = 0.0
+    memory[slot, QUIET_S] = np.inf
+    memory[slot, USED] = 1.0
+    return slot
+
+
+@kernel
+def update_memory(
+    memory: Array, near: Array, binding: Array, side: Array, dt: float, config: ClearanceConfig
+) -> Array:
+    """Memory after a tick in which the objects with a positive `binding` (M,) changed the velocity.
+
+    A new object is passed on the side to which `side` (M,) points. After timeout_s the side changes, see `side_of`. A
+    slot that was not binding for forget_s is free again.
+    """
+    out = memory.copy()
+    for slot in range(SLOTS):
+        if out[slot, USED] > 0.0:
+            out[slot, QUIET_S] += dt
+            if out[slot, QUIET_S] > config.forget_s:
+                out[slot, USED] = 0.0
+    for m in range(binding.shape[0]):
+        if binding[m] <= 0.0:
+            continue
+        slot = find_slot(out, near[m])
+        if slot < 0:
+            slot = _claim_slot(out, side[m])
+        store3(out[slot], 0, near[m])
+        if out[slot, QUIET_S] > 0.0:  # once per tick, also when two near objects share the slot
+            out[slot, ACTIVE_S] += dt
+        out[slot, QUIET_S] = 0.0
+        if out[slot, ACTIVE_S] > (1.0 + _CHANGE) * config.timeout_s:
+            out[slot, SIDE] = -out[slot, SIDE]
+            out[slot, ACTIVE_S] -= config.timeout_s
+    return out
+
+
+@inline_kernel
+def braking_speed(room: float, deceleration: float, latency_s: float) -> float:
+    """Largest closing speed [m/s] at `room` [m] >= 0: sqrt((a T)^2 + 2 a room) - a T."""
+    lost = deceleration * latency_s
+    return 2.0 * deceleration * room / (math.sqrt(lost * lost + 2.0 * deceleration * room) + lost)
+
+
+@inline_kernel
+def homing_speed(distance: float, gain: float, deceleration: float) -> float:
+    """Largest speed [m/s] towards a place `distance` [m] away: gain times it, as far as that can be braked.
+
+    Beyond deceleration / gain^2 the speed is sqrt(2 a (distance - a / (2 gain^2))), whose braking is constant.
+    """
+    near = deceleration / max(gain * gain, _TINY)
+    if distance <= near:
+        return gain * distance
+    return math.sqrt(2.0 * deceleration * (distance - 0.5 * near))
+
+
+@kernel
+def tangent(normal: Vector3Like) -> Vector3:
+    """Unit vector along e_z x n, or e_x x n where n is nearly vertical."""
+    length = math.hypot(normal[0], normal[1])
+    if length > 0.1:
+        return -normal[1] / length, normal[0] / length, 0.0
+    length = math.hypot(normal[1], normal[2])
+    return 0.0, -normal[2] / length, normal[1] / length
+
+
+class HalfSpace(NamedTuple):
+    """normal . v >= bound."""
+
+    normal: Vector3
+    bound: float  # [m/s]
+
+
+@kernel
+def clear_velocities(
+    away: Vector3, keep_out: float, relative: Vector3, allowed: float
+) -> HalfSpace:
+    """Relative velocities that stay clear of a sphere, linearised at the present one.
+
+    The velocities that enter the sphere within the braking horizon room / allowed are a cone with a spherical
+    tip, whose nearest point is `allowed` away from rest. The half space touches it where it is nearest to the
+    present relative velocity. On a straight meeting that is beside the object, on the right-hand side: both
+    UAVs of a pair choose the same sense of rotation.
+
+    Args:
+        away: (3,) from the object to the UAV [m], longer than `keep_out`.
+        keep_out: radius of the sphere [m].
+        relative: (3,) velocity of the UAV beside that of the object [m/s].
+        allowed: closing speed straight to the object [m/s], above 0.
+    """
+    distance = norm3(away)
+    rate = allowed / (distance - keep_out)  # 1 / horizon
+    ahead = scale3(-1.0, away)
+    toward = scale3(rate, ahead)
+    normal = div3(away, distance)
+    offset = sub3(relative, toward)
+    along = dot3(offset, ahead)
+    length = norm3(offset)
+    if along < 0.0 and along * along > keep_out * keep_out * length * length:
+        side = div3(offset, length)  # beside the tip
+        return HalfSpace(side, dot3(side, toward) + keep_out * rate)
+    closing = dot3(relative, ahead) / distance
+    lateral = axpy(closing, normal, relative)
+    lateral = axpy(_ASIDE * max(closing, 0.0), tangent(normal), lateral)
+    across = norm3(lateral)
+    lateral = div3(lateral, across) if across > _TINY else tangent(normal)
+    sine = keep_out / distance
+    side = add3(
+        scale3(math.sqrt(1.0 - sine * sine), lateral), scale3(sine, normal)
+    )  # outward normal of the cone
+    return HalfSpace(side, 0.0)
+
+
 @inline_kernel
 def is_stale(view: ObstacleView, config: ClearanceConfig) -> bool:
     """True if the near-object sensor has been silent for longer than it may."""
@@ -61,25 +262,10 @@ def is_stale(view: ObstacleView, config: ClearanceConfig) -> bool:
 
 
 @inline_kernel
-def _deceleration(view: ObstacleView, moves: bool, config: ClearanceConfig) -> float:
-    """The remaining deceleration [m/s^2], at least a quarter.
-
-    An object that moves may be the weakest UAV: then both of the pair count on what that one has.
-    """
-    most = config.weakest if moves else config.deceleration
-    return max(most - view.demand, _LEAST_BRAKING * most)
-
-
-class _Sight(NamedTuple):
-    """The place of an object by now, as far as it is known."""
-
-    centre: Vector3  # [m, ENU]
-    velocity: Vector3  # [m/s, ENU]
-
-
-@inline_kernel
-def _sight(position: Vector3, near: Array, view: ObstacleView, config: ClearanceConfig) -> _Sight:
-    """The object extrapolated to the present.
+def _present(
+    position: Vector3, near: Array, view: ObstacleView, config: ClearanceConfig
+) -> tuple[Vector3, Vector3]:
+    """Centre and velocity of an object, extrapolated to the present.
 
     Of one that has not been seen for too long nobody knows how far it went: it is the nearest point of its way.
     """
@@ -89,8 +275,8 @@ def _sight(position: Vector3, near: Array, view: ObstacleView, config: Clearance
         length = dot3(way, way)
         if length > 0.0:
             share = min(max(dot3(sub3(position, load3(near, 0)), way) / length, 0.0), 1.0)
-            return _Sight(axpy(share, way, near), scale3(share, velocity))
-    return _Sight(axpy(view.age_s, velocity, near), velocity)
+            return axpy(share, way, near), scale3(share, velocity)
+    return axpy(view.age_s, velocity, near), velocity
 
 
 @inline_kernel
@@ -118,8 +304,7 @@ def constraint(
 ) -> ClearanceConstraint:
     """Constraint of the near object in row `which`; `straight`: whatever the told paths are."""
     near = view.near[which]
-    sight = _sight(position, near, view, config)
-    centre, velocity = sight.centre, sight.velocity
+    centre, velocity = _present(position, near, view, config)
     away = sub3(position, centre)
     distance = norm3(away)
     if distance < _COINCIDENT_M:
@@ -128,10 +313,10 @@ def constraint(
     keep_out = max(near[3], 0.0) + config.margin_m
     depth = keep_out - distance
     if config.approach == SPEED_BRAKING and depth < -_COINCIDENT_M:
-        return _braking_constraint(position, sight, keep_out, view, straight, config)
+        return _braking_constraint(position, centre, velocity, keep_out, view, straight, config)
     alpha = config.gain.kappa
     if depth > 0.0:
-        since = obstacle_memory.active_time(view.memory, _landmark(near, centre, normal))
+        since = active_time(view.memory, _landmark(near, centre, normal))
         alpha += step_gain(since, view.dt, config.gain.duration_s, config.gain.residual)
     return ClearanceConstraint(
         normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth
@@ -141,7 +326,8 @@ def constraint(
 @kernel
 def _braking_constraint(
     position: Vector3,
-    sight: _Sight,
+    centre: Vector3,
+    velocity: Vector3,
     keep_out: float,
     view: ObstacleView,
     straight: bool,
@@ -151,26 +337,23 @@ def _braking_constraint(
 
     An object that stands still changes nothing: the UAV makes all of the change. One that moves may be another
     UAV, which makes the other half. Each makes it beside the velocity that the pair is about to have, see
-    docs/notes/clearance.md ("Shares").
+    docs/notes/clearance.md ("Shares"). One that moves may also be the weakest UAV: both of the pair count on what that
+    one has. Of the deceleration at least a quarter remains.
     """
-    velocity = sight.velocity
-    away = sub3(position, sight.centre)
+    away, relative = sub3(position, centre), sub3(view.velocity, velocity)
     moves = dot3(velocity, velocity) > 0.0
-    late = config.lag_s + (max(view.age_s, config.sensor_s) if moves else 0.0)
-    alone = not moves
-    share = 1.0 if alone else SHARE
+    late, share, most, beside = config.lag_s, 1.0, config.deceleration, view.velocity
+    if moves:
+        late, share, most = config.lag_s + max(view.age_s, config.sensor_s), SHARE, config.weakest
+        beside = axpy(COMMON, sub3(view.command, view.velocity), view.velocity)
     depth = keep_out - norm3(away)
-    allowed = braking_speed(-depth, _deceleration(view, moves, config), LATENCIES * late)
-    relative = sub3(view.velocity, velocity)
+    left = max(most - view.demand, _LEAST_BRAKING * most)
+    allowed = braking_speed(-depth, left, LATENCIES * late)
     if moves and not straight:
-        part = path_share(
-            view.told, position, view.velocity, sight.centre, velocity, -depth / allowed
-        )
+        horizon_s = -depth / allowed
+        part = path_share(view.told, position, view.velocity, centre, velocity, horizon_s)
         relative = scaled(part, relative)
     space = clear_velocities(away, keep_out, relative, allowed)
-    beside = view.velocity
-    if not alone:
-        beside = axpy(COMMON, sub3(view.command, view.velocity), view.velocity)
     bound = dot3(space.normal, beside) + share * (space.bound - dot3(space.normal, relative))
     return ClearanceConstraint(space.normal, bound, depth)
 

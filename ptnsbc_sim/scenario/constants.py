@@ -16,11 +16,11 @@ import numpy as np
 from ptnsbc_core.behaviours.formation import HOMING
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
+from ptnsbc_core.curves.turned import REACH
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.approach import SHARE, braking_speed
 from ptnsbc_core.tasks.formation_tasks import desired_value, metres_per_row, needs_arm
+from ptnsbc_core.tasks.near_constraints import SHARE, braking_speed
 from ptnsbc_core.tasks.table import TASKS
-from ptnsbc_core.tasks.told_path import REACH
 from ptnsbc_core.types import (
     APPROACH_SPEEDS,
     APPROACHES,

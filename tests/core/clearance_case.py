@@ -5,10 +5,9 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays
 
 from ptnsbc_core import nullspace
+from ptnsbc_core.curves.turned import ToldPaths
 from ptnsbc_core.tasks import clearance as task
-from ptnsbc_core.tasks.near_constraints import ObstacleView
-from ptnsbc_core.tasks.obstacle_memory import empty_memory
-from ptnsbc_core.tasks.told_path import ToldPaths
+from ptnsbc_core.tasks.near_constraints import ObstacleView, empty_memory
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_SET_BASED,

@@ -14,7 +14,7 @@ from ptnsbc_core.nullspace import (
     limit_by_priority,
     null_space_projector,
 )
-from ptnsbc_core.tasks.obstacle_memory import empty_memory
+from ptnsbc_core.tasks.near_constraints import empty_memory
 from ptnsbc_core.types import ClearanceTask
 
 compose_with_clearance = on_arrays(compose_with_clearance)

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ptnsbc_core.curves.piecewise import COEFFICIENTS
+from ptnsbc_core.curves.trajectory import COEFFICIENTS
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
 
 CHANNELS = 4  # of a curve: x, y, z, yaw

@@ -16,9 +16,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
-from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.shape import CHANNELS
-from ptnsbc_core.curves.trajectory import curve_samples
+from ptnsbc_core.curves.trajectory import COEFFICIENTS, curve_samples
 from ptnsbc_core.types import TRAJECTORY_PIECEWISE, Array, Shape, Trajectory
 from ptnsbc_sim.scenario.fields import replaced
 from ptnsbc_sim.scenario.mission.legs import (

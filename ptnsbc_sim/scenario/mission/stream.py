@@ -18,8 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from ptnsbc_core.algebra import wrap_angle
-from ptnsbc_core.curves.piecewise import COEFFICIENTS
-from ptnsbc_core.curves.trajectory import curve_samples
+from ptnsbc_core.curves.trajectory import COEFFICIENTS, curve_samples
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array, Trajectory
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3, rows_of

@@ -14,8 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from ptnsbc_core.curves.piecewise import COEFFICIENTS
-from ptnsbc_core.curves.trajectory import curve_samples
+from ptnsbc_core.curves.trajectory import COEFFICIENTS, curve_samples
 from ptnsbc_core.types import (
     HEADING_FIXED,
     HEADING_PATH,

@@ -8,8 +8,7 @@ from on_arrays import on_arrays, tuples
 from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.control import quadrotor_control as laws
-from ptnsbc_core.control.adaptation import initial_observer
-from ptnsbc_core.control.rigid_body_control import VelocityReference
+from ptnsbc_core.control.rigid_body_control import VelocityReference, initial_observer
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import AdaptationState, ControllerConfig

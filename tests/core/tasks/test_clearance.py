@@ -8,7 +8,7 @@ from clearance_case import FIRST, KAPPA, KEEP_OUT, ROCK, config_of, object_at, r
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptnsbc_core.tasks.obstacle_memory import empty_memory
+from ptnsbc_core.tasks.near_constraints import empty_memory
 from ptnsbc_core.types import AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED
 
 

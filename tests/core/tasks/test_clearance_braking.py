@@ -21,10 +21,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, clear_velocities, tangent
-from ptnsbc_core.tasks.near_constraints import ObstacleView, constraints
-from ptnsbc_core.tasks.obstacle_memory import empty_memory
-from ptnsbc_core.tasks.told_path import ToldPaths
+from ptnsbc_core.curves.turned import ToldPaths
+from ptnsbc_core.tasks.near_constraints import (
+    LATENCIES,
+    ObstacleView,
+    braking_speed,
+    clear_velocities,
+    constraints,
+    empty_memory,
+    tangent,
+)
 from ptnsbc_core.timebase import h, h_rate
 from ptnsbc_core.types import AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED, SPEED_BRAKING
 

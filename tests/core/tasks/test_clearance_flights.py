@@ -19,8 +19,7 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limit_norm
 from ptnsbc_core.behaviours.recovery import standing_time, stands_still, way_out
-from ptnsbc_core.tasks.near_constraints import ObstacleView
-from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
+from ptnsbc_core.tasks.near_constraints import SIDE, USED, ObstacleView, empty_memory
 from ptnsbc_core.types import AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED, FormationPlace
 
 limit_norm = on_arrays(limit_norm)

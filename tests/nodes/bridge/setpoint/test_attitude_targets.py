@@ -11,13 +11,12 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import MavlinkFleet
 
-from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.quadrotor_control import (
     attitude_error,
     desired_rotation,
     quadrotor_control,
 )
-from ptnsbc_core.control.rigid_body_control import VelocityReference
+from ptnsbc_core.control.rigid_body_control import VelocityReference, initial_observer
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
