@@ -10,55 +10,55 @@ from bench.session import Plan, cpu_seconds, take_turns
 from bench.step import SVD, numpy_svd
 from bench.table import Row, Target
 from ptnsbc_core.kernel import kernel, referred
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
 from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack
-from ptnsbc_sim.wiring import Wiring
 
 _SVD_CALLS = 5000
 _TARGETS = {5: 80_000.0, 20: 25_000.0}
 
 
 @kernel
-def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+def _sense(ticks: int, swarm: SwarmState) -> float:
     for tick in range(ticks):
-        sense(swarm, wiring, track, tick, None)
+        sense(swarm, tick, None)
     return 0.0
 
 
 @kernel
-def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+def _inputs(ticks: int, swarm: SwarmState) -> float:
     total = 0.0
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
-            inputs = inputs_of(swarm, wiring, track, tick, row, None)
+            inputs = inputs_of(swarm, tick, row, None)
             total += inputs.parent[0] + inputs.leader[0] + inputs.estimates.shape[0]
     return total
 
 
 @kernel
-def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    dt, total = wiring.dt_ns * 1e-9, 0.0
+def _laws(ticks: int, swarm: SwarmState) -> float:
+    dt, total = seconds(swarm.wiring.dt_ns), 0.0
     for tick in range(ticks):
-        t = (tick * wiring.dt_ns) * 1e-9
+        t = seconds(tick * swarm.wiring.dt_ns)
         for row in range(swarm.bodies.shape[0]):
-            inputs = inputs_of(swarm, wiring, track, tick, row, None)
+            inputs = inputs_of(swarm, tick, row, None)
             swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             total += out.force[2]
     return total
 
 
 @kernel
-def _plant(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+def _plant(ticks: int, swarm: SwarmState) -> float:
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
-            advance_plant(swarm, wiring, track, tick, row, None)
+            advance_plant(swarm, tick, row, None)
     return 0.0
 
 
-_Pass = Callable[[int, Wiring, SwarmState, FlightTrack], float]
+_Pass = Callable[[int, SwarmState], float]
 
 
 class _Piece(NamedTuple):
@@ -135,8 +135,7 @@ def _timed(one: _Pass, flight: HeadlessFlight) -> Callable[[], float]:
 
 def _pass_ns(one: _Pass, flight: HeadlessFlight, ticks: int) -> float:
     """CPU time of one pass per UAV and tick [ns]; it starts as the flight did and changes copies."""
-    swarm = swarm_of(flight.scenario, flight.wiring, None)
     track = FlightTrack(*(array.copy() for array in flight.track))
-    arguments = (ticks, referred(flight.wiring), referred(swarm), referred(track))
-    seconds = cpu_seconds(lambda: one(*arguments))
-    return 1e9 * seconds / (ticks * len(flight.scenario.uav_ids))
+    swarm = referred(swarm_of(flight.scenario, flight.swarm.wiring, track, None))
+    spent_s = cpu_seconds(lambda: one(ticks, swarm))
+    return 1e9 * spent_s / (ticks * len(flight.scenario.uav_ids))

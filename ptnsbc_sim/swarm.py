@@ -33,7 +33,6 @@ from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
-from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.tick import Loop, SwarmState, advance_all, sense, step_all
 from ptnsbc_sim.track import FlightTrack, track_of
 from ptnsbc_sim.wiring import Wiring, obstacles_at, wire, wiring_of
@@ -47,12 +46,15 @@ class HeadlessFlight(NamedTuple):
 
     scenario: Scenario
     t_ns: NDArray[np.int64]  # (T,)
-    track: FlightTrack
-    wiring: Wiring
+    swarm: SwarmState  # as it is at the end
     slots: Mapping[
         int, int
     ]  # slot of every UAV, decided at the epoch; empty where each has its own
-    swarm: SwarmState  # as it is at the end
+
+    @property
+    def track(self) -> FlightTrack:
+        """The record of the flight."""
+        return self.swarm.track
 
     @property
     def flown(self) -> Scenario:
@@ -66,11 +68,9 @@ class HeadlessFlight(NamedTuple):
 
     def near(self, tick: int, row: int) -> Array:
         """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
-        truth, obstacles = self.truth[tick], obstacles_at(self.wiring, tick)
-        world, keep_outs = WorldPlugins.of(self.scenario), self.wiring.keep_outs
-        rows = None if world is None else world.near(row, tick, truth, obstacles, keep_outs)
-        if rows is None:
-            rows = near_objects(row, truth, obstacles, keep_outs, self.wiring.range_m)
+        truth, obstacles = self.truth[tick], obstacles_at(self.swarm.wiring, tick)
+        keep_outs = self.swarm.wiring.keep_outs
+        rows = WorldPlugins(self.scenario).near(row, tick, truth, obstacles, keep_outs)
         if not len(self.track.truth):
             return rows
         samples = sensor_noise_samples(self.scenario, self.scenario.uav_ids[row], tick)
@@ -79,22 +79,15 @@ class HeadlessFlight(NamedTuple):
 
 
 @kernel
-def _fly(
-    first: int,
-    count: int,
-    wiring: Wiring,
-    swarm: SwarmState,
-    track: FlightTrack,
-    disturbances: Disturbances | None,
-) -> None:
-    """Ticks first .. first + count - 1 of the whole swarm into `track`.
+def _fly(first: int, count: int, swarm: SwarmState, disturbances: Disturbances | None) -> None:
+    """Ticks first .. first + count - 1 of the whole swarm into its track.
 
     What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
     """
     for tick in range(first, first + count):
-        sense(swarm, wiring, track, tick, disturbances)
-        step_all(tick, wiring, swarm, track, None, None, disturbances)
-        advance_all(tick, wiring, swarm, track, disturbances)
+        sense(swarm, tick, disturbances)
+        step_all(tick, swarm, None, None, disturbances)
+        advance_all(tick, swarm, disturbances)
 
 
 def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> Array:
@@ -114,6 +107,7 @@ def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> A
 def swarm_of(
     scenario: Scenario,
     wiring: Wiring,
+    track: FlightTrack,
     disturbances: Disturbances | None,
     like: SwarmState | None = None,
 ) -> SwarmState:
@@ -134,6 +128,8 @@ def swarm_of(
     size, objects = len(ids), len(ids) + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(
+        wiring,
+        track,
         configs,
         plants,
         kernel_list([initial_state(own, configs[row]) for row, own in enumerate(seen)]),
@@ -154,7 +150,6 @@ def swarm_of(
 def _take_role(
     change: RoleChange,
     tick: int,
-    wiring: Wiring,
     swarm: SwarmState,
     disturbances: Disturbances | None,
 ) -> None:
@@ -162,9 +157,9 @@ def _take_role(
     scenario, row = change.after, change.after.uav_ids.index(change.uav)
     swarm.configs[row] = agent_config(scenario, change.uav)
     swarm.states[row] = moved_on(swarm.states[row], change)
-    wire(wiring, scenario, change.uav)
+    wire(swarm.wiring, scenario, change.uav)
     if disturbances is not None:
-        received = last_received_by(scenario, change.uav, wiring.neighbours.shape[1])
+        received = last_received_by(scenario, change.uav, swarm.wiring.neighbours.shape[1])
         disturbances.received[tick:, row] = received[tick:]
 
 
@@ -208,17 +203,17 @@ def flown(
     like = room if room is not None and held.shares_all_but_starts(room.flown) else None
     if held.formation.reconfigures:
         like = None  # what a UAV has in common with others changes in flight
-    wiring = wiring_of(held) if like is None else like.wiring
+    wiring = wiring_of(held) if like is None else like.swarm.wiring
     disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
-    swarm = swarm_of(held, wiring, disturbances, None if like is None else like.swarm)
     track = track_of(ticks, size, with_truth=disturbances is not None, room=room and room.track)
-    bundles = (referred(wiring), referred(swarm), referred(track), referred(disturbances))
+    swarm = swarm_of(held, wiring, track, disturbances, None if like is None else like.swarm)
+    bundles = referred(swarm), referred(disturbances)
     changes = role_changes(held)
     for first, end in pairwise(sorted({*range(0, ticks, CHUNK_TICKS), *changes, ticks})):
         for change in changes.get(first, ()):
-            _take_role(change, first, wiring, swarm, disturbances)
+            _take_role(change, first, swarm, disturbances)
         loop(first, end - first, *bundles)
         if progress is not None:
             progress(end, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.timing.dt_ns
-    return HeadlessFlight(scenario, t_ns, track, wiring, slots, swarm)
+    return HeadlessFlight(scenario, t_ns, swarm, slots)

@@ -42,11 +42,13 @@ from ptnsbc_sim.wiring import Wiring, obstacles_at
 
 
 class SwarmState(NamedTuple):
-    """The UAVs of a flight, by row: constants, what is carried from tick to tick, and room to work in.
+    """The UAVs of a flight, by row: constants, what is carried from tick to tick, its record, and room to work in.
 
     Everything but the constants is changed in place.
     """
 
+    wiring: Wiring
+    track: FlightTrack
     configs: MutableSequence[AgentConfig]
     plants: MutableSequence[PlantConfig]
     states: MutableSequence[AgentState]
@@ -63,7 +65,7 @@ class SwarmState(NamedTuple):
     waves: Waves
 
 
-Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
+Loop = Callable[[int, int, SwarmState, Disturbances | None], None]
 """Flies so many ticks from the first: the law is in it."""
 
 
@@ -74,23 +76,19 @@ def _age(tick: int, sent: int, dt_ns: int) -> float:
 
 
 @inline_kernel
-def _received(swarm: SwarmState, track: FlightTrack, sent: int, row: int) -> Array:
+def _received(swarm: SwarmState, sent: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
         return swarm.nothing
-    return track.reported[sent, row]
+    return swarm.track.reported[sent, row]
 
 
 @kernel
 def _mean_parent(
-    swarm: SwarmState,
-    wiring: Wiring,
-    track: FlightTrack,
-    tick: int,
-    row: int,
-    disturbances: Disturbances | None,
+    swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None
 ) -> float:
     """Set `parent_mean` of a UAV with several parents; returns its age [s]."""
+    wiring = swarm.wiring
     parents, neighbours = wiring.parents, wiring.neighbours.shape[1]
     count = parents.several[row]
     states, ages = swarm.parent_states[:count], swarm.parent_age_s[:count]
@@ -99,7 +97,7 @@ def _mean_parent(
         if disturbances is not None:
             sent = disturbances.received[tick, row, 2 + neighbours + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
-        store(states[k], 0, _received(swarm, track, sent, parents.rows[row, k]))
+        store(states[k], 0, _received(swarm, sent, parents.rows[row, k]))
     weights, shifts = parents.weights[row, :count], parents.shifts[row, :count]
     return mean_parent(states, ages, weights, shifts, parents.stale_s, swarm.parent_mean)
 
@@ -116,23 +114,19 @@ def _mode_at(wiring: Wiring, row: int, now_ns: int) -> int:
 
 @inline_kernel
 def inputs_of(
-    swarm: SwarmState,
-    wiring: Wiring,
-    track: FlightTrack,
-    tick: int,
-    row: int,
-    disturbances: Disturbances | None,
+    swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None
 ) -> AgentInputs:
     """The inputs of UAV number `row` at `tick`: the messages of the tick before, or older ones if those got lost."""
+    wiring, track = swarm.wiring, swarm.track
     parent = wiring.parent[row]
     from_parent, from_leader = tick - 1, tick - 1
     if disturbances is not None:
         received = disturbances.received[tick, row]
         from_parent, from_leader = received[0], received[1]
-    parent_state = _received(swarm, track, from_parent, parent)
+    parent_state = _received(swarm, from_parent, parent)
     parent_age_s = _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S
     if wiring.parents.several[row] > 0:
-        parent_age_s = _mean_parent(swarm, wiring, track, tick, row, disturbances)
+        parent_age_s = _mean_parent(swarm, tick, row, disturbances)
         parent_state = swarm.parent_mean
     count = wiring.neighbour_count[row]
     estimates, ages = swarm.estimates[row, :count], swarm.estimate_age_s[row, :count]
@@ -151,7 +145,7 @@ def inputs_of(
         track.odometry[tick, row],
         parent_state,
         parent_age_s,
-        _received(swarm, track, from_leader, wiring.leader[row] if pinned else -1),
+        _received(swarm, from_leader, wiring.leader[row] if pinned else -1),
         _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,
         ages,
@@ -172,33 +166,22 @@ def since_epoch(wiring: Wiring, tick: int, row: int) -> float:
 
 
 @kernel
-def sense(
-    swarm: SwarmState,
-    wiring: Wiring,
-    track: FlightTrack,
-    tick: int,
-    disturbances: Disturbances | None,
-) -> None:
+def sense(swarm: SwarmState, tick: int, disturbances: Disturbances | None) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
-    size = swarm.bodies.shape[0]
+    size, track = swarm.bodies.shape[0], swarm.track
     true = track.odometry if disturbances is None else track.truth
     for row in range(size):
-        store_odometry(true[tick, row], swarm.bodies[row], wiring.plant)
+        store_odometry(true[tick, row], swarm.bodies[row], swarm.wiring.plant)
     if disturbances is not None:
         for row in range(size):
-            store(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, disturbances))
-    if tick % wiring.near_every == 0:
-        _sense_near(swarm, wiring, track, tick, disturbances)
+            store(track.odometry[tick, row], 0, _believed(swarm, tick, row, disturbances))
+    if tick % swarm.wiring.near_every == 0:
+        _sense_near(swarm, tick, disturbances)
 
 
 @kernel
-def _sense_near(
-    swarm: SwarmState,
-    wiring: Wiring,
-    track: FlightTrack,
-    tick: int,
-    disturbances: Disturbances | None,
-) -> None:
+def _sense_near(swarm: SwarmState, tick: int, disturbances: Disturbances | None) -> None:
+    wiring, track = swarm.wiring, swarm.track
     true = track.odometry[tick] if disturbances is None else track.truth[tick]
     obstacles = obstacles_at(wiring, tick)
     store_objects(true, obstacles, swarm.objects)
@@ -218,18 +201,17 @@ def _sense_near(
 
 
 @kernel
-def _believed(
-    track: FlightTrack, tick: int, row: int, wiring: Wiring, disturbances: Disturbances
-) -> Array:
+def _believed(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
+    truth = swarm.track.truth
     measured = measured_odometry(
-        track.truth[tick, row],
-        track.truth[max(tick - disturbances.position_noise.delay, 0), row],
-        track.truth[max(tick - disturbances.position_noise.compensated, 0), row],
+        truth[tick, row],
+        truth[max(tick - disturbances.position_noise.delay, 0), row],
+        truth[max(tick - disturbances.position_noise.compensated, 0), row],
         disturbances.position_errors[row],
         disturbances.position_samples[tick, row],
         tick,
-        seconds(wiring.dt_ns),
+        seconds(swarm.wiring.dt_ns),
         disturbances.position_noise,
     )
     add_jumps(measured, tick, row, disturbances.jumps)
@@ -243,67 +225,55 @@ def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
 
 
 @inline_kernel
-def computes(
-    swarm: SwarmState, track: FlightTrack, tick: int, row: int, disturbances: Disturbances | None
-) -> bool:
+def computes(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None) -> bool:
     """True if UAV number `row` computes at `tick`. One that begins anew starts from what it sees."""
     if disturbances is not None:
         if dead(tick, row, disturbances):
-            note_silence(track, tick, row)
+            note_silence(swarm.track, tick, row)
             return False
         if tick > 0 and dead(tick - 1, row, disturbances):
-            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
+            swarm.states[row] = initial_state(swarm.track.odometry[tick, row], swarm.configs[row])
     return True
 
 
 @inline_kernel
-def blown(
-    swarm: SwarmState, wiring: Wiring, tick: int, row: int, disturbances: Disturbances | None
-) -> bool:
+def blown(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None) -> bool:
     """Set the gust around UAV number `row`; whether it flies. One whose process was killed stops where it is."""
     if disturbances is not None:
         samples, wind = disturbances.gust_samples[tick, row], swarm.plants[row].wind
         gust_step(disturbances.gust[row], wind, samples, tick, disturbances.gusts)
         if dead(tick, row, disturbances):
-            stop(swarm.bodies[row], wiring.plant)
+            stop(swarm.bodies[row], swarm.wiring.plant)
             return False
     return True
 
 
 @inline_kernel
 def advance_plant(
-    swarm: SwarmState,
-    wiring: Wiring,
-    track: FlightTrack,
-    tick: int,
-    row: int,
-    disturbances: Disturbances | None,
+    swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None
 ) -> None:
     """One control period of UAV number `row` under the wrench that it has just commanded."""
-    plant = swarm.plants[row]
-    if not blown(swarm, wiring, tick, row, disturbances):
-        return
-    t, dt = seconds(tick * wiring.dt_ns), seconds(wiring.dt_ns)
-    advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
+    if blown(swarm, tick, row, disturbances):
+        dt_ns, wrench = swarm.wiring.dt_ns, swarm.track.wrench[tick, row]
+        t, dt = seconds(tick * dt_ns), seconds(dt_ns)
+        advance_with(swarm.bodies[row], wrench, t, dt, swarm.plants[row], swarm.waves)
 
 
 @kernel
 def step_all(
     tick: int,
-    wiring: Wiring,
     swarm: SwarmState,
-    track: FlightTrack,
     velocities: Array | None,
     tasks: Sequence[TaskGeometry] | None,
     disturbances: Disturbances | None,
 ) -> None:
     """The control step of every UAV that computes: `velocities` (N, 3) [m/s, ENU] and `tasks` are of followers."""
-    dt = seconds(wiring.dt_ns)
+    wiring, dt = swarm.wiring, seconds(swarm.wiring.dt_ns)
     for row in range(swarm.bodies.shape[0]):
-        if not computes(swarm, track, tick, row, disturbances):
+        if not computes(swarm, tick, row, disturbances):
             continue
         t = since_epoch(wiring, tick, row)
-        inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
+        inputs = inputs_of(swarm, tick, row, disturbances)
         state, config = swarm.states[row], swarm.configs[row]
         follows = row != wiring.leader[row]
         if tasks is not None and follows:
@@ -315,17 +285,11 @@ def step_all(
             swarm.states[row], out = step(state, inputs, t, dt, config, wanted)
         else:
             swarm.states[row], out = step(state, inputs, t, dt, config)
-        note(track, tick, row, out)
+        note(swarm.track, tick, row, out)
 
 
 @kernel
-def advance_all(
-    tick: int,
-    wiring: Wiring,
-    swarm: SwarmState,
-    track: FlightTrack,
-    disturbances: Disturbances | None,
-) -> None:
+def advance_all(tick: int, swarm: SwarmState, disturbances: Disturbances | None) -> None:
     """All plants by one control period; apart from the steps, because the code of both does not fit the cache."""
     for row in range(swarm.bodies.shape[0]):
-        advance_plant(swarm, wiring, track, tick, row, disturbances)
+        advance_plant(swarm, tick, row, disturbances)

@@ -17,7 +17,6 @@ from ptnsbc_sim.plants.inner_loop import keeping_attitude
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.wiring import keep_outs_of
 
 _NO_WRENCH = np.zeros(6)
@@ -79,7 +78,7 @@ class World:
         self._substeps = scenario.timing.physics_hz // scenario.timing.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
-        self._plugins = WorldPlugins.of(scenario)
+        self._plugins = WorldPlugins(scenario)
         self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
             self._begin_disturbances(plants)
@@ -128,12 +127,8 @@ class World:
     def near(self, uav_id: int) -> Array:
         """Rows (M, 7) that the near-object sensor of one UAV sees now."""
         row, tick = self._row[uav_id], self._ticks[uav_id]
-        obstacles, range_m = self._obstacles_now(tick), float(self._scenario.sensor.range_m)
-        rows = None
-        if self._plugins is not None:
-            rows = self._plugins.near(row, tick, self._truth, obstacles, self._keep_outs)
-        if rows is None:
-            rows = near_objects(row, self._truth, obstacles, self._keep_outs, range_m)
+        obstacles = self._obstacles_now(tick)
+        rows = self._plugins.near(row, tick, self._truth, obstacles, self._keep_outs)
         if not self._around:
             return rows
         seen = self._odometry[row]
@@ -156,10 +151,10 @@ class World:
         if self._around:
             self._around[row].gust_step(tick)
         plugins = self._plugins
-        if plugins is not None and plugins.disturbance is not None:
+        if plugins.disturbance is not None:
             plant = plugins.disturbed(uav_id, tick, self._truth[row], self._plants[row])
             self._plants[row] = plant
-        if plugins is not None and plugins.plant is not None and wrench is not None:
+        if plugins.plant is not None and wrench is not None:
             plugins.advance(self._states[row], wrench, tick, self._plants[row])
             self._truth[row] = _measure_row(self._states, row, self._plants)
         else:

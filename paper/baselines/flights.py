@@ -17,14 +17,14 @@ from paper.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from paper.baselines.settling import BaselineError, settled_s, tuned
 from paper.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
-from ptnsbc_sim.track import FlightTrack, note
-from ptnsbc_sim.wiring import Wiring
+from ptnsbc_sim.track import note
 
 Progress = Callable[[int, int], None]
 
@@ -46,24 +46,22 @@ _IN_BAND = 3.912  # ln 50: time constants until 2 % of an error are left
 def _fly_terminal(
     first: int,
     count: int,
-    wiring: Wiring,
     swarm_state: SwarmState,
-    track: FlightTrack,
     disturbances: Disturbances | None,
     laws: Sequence[Terminal],
 ) -> None:
     """As the loop of the swarm, with another law; wind does not act on this plant."""
-    dt = wiring.dt_ns * 1e-9
+    dt = seconds(swarm_state.wiring.dt_ns)
     for tick in range(first, first + count):
-        t = (tick * wiring.dt_ns) * 1e-9
-        sense(swarm_state, wiring, track, tick, disturbances)
+        t = seconds(tick * swarm_state.wiring.dt_ns)
+        sense(swarm_state, tick, disturbances)
         for row in range(swarm_state.bodies.shape[0]):
-            inputs = inputs_of(swarm_state, wiring, track, tick, row, disturbances)
+            inputs = inputs_of(swarm_state, tick, row, disturbances)
             swarm_state.states[row], out = terminal_step(
                 swarm_state.states[row], inputs, t, dt, swarm_state.configs[row], laws[row]
             )
-            note(track, tick, row, out)
-            advance_plant(swarm_state, wiring, track, tick, row, disturbances)
+            note(swarm_state.track, tick, row, out)
+            advance_plant(swarm_state, tick, row, disturbances)
 
 
 def _place(scenario: Scenario, uav_id: int) -> Vector3:
@@ -100,14 +98,9 @@ def fly_tuned(scenario: Scenario, law: str, progress: Progress | None = None) ->
     laws = kernel_list(_terminal(scenario, law))
 
     def loop(
-        first: int,
-        count: int,
-        wiring: Wiring,
-        swarm_state: SwarmState,
-        track: FlightTrack,
-        disturbances: Disturbances | None,
+        first: int, count: int, swarm_state: SwarmState, disturbances: Disturbances | None
     ) -> None:
-        _fly_terminal(first, count, wiring, swarm_state, track, disturbances, laws)
+        _fly_terminal(first, count, swarm_state, disturbances, laws)
 
     return swarm.flown(scenario, loop, progress)
 

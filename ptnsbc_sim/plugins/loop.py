@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ptnsbc_core.algebra import store3
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import TaskPoints, task_points
@@ -30,41 +31,31 @@ from ptnsbc_sim.tick import (
     step_all,
 )
 from ptnsbc_sim.track import FlightTrack
-from ptnsbc_sim.wiring import Wiring, obstacles_at
+from ptnsbc_sim.wiring import obstacles_at
 
-_POINTS = 9  # own, parent and reference of a task; then whether the parent has been heard
+_HEARD = 9  # column of a row of points: whether the parent has been heard; own, parent and reference stand before it
 
 
 @kernel
-def _task_points(
-    tick: int,
-    wiring: Wiring,
-    swarm: SwarmState,
-    track: FlightTrack,
-    disturbances: Disturbances | None,
-) -> Array:
+def _task_points(tick: int, swarm: SwarmState, disturbances: Disturbances | None) -> Array:
     """The states at which the UAVs evaluate their tasks: rows (N, 10)."""
-    dt = seconds(wiring.dt_ns)
-    out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
+    dt = seconds(swarm.wiring.dt_ns)
+    out = np.zeros((swarm.bodies.shape[0], _HEARD + 1))
     for row in range(swarm.bodies.shape[0]):
-        if not computes(swarm, track, tick, row, disturbances):
-            continue
-        inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
-        t = since_epoch(wiring, tick, row)
-        found = task_points(swarm.states[row], inputs, t, dt, swarm.configs[row])
-        for i in range(3):
-            out[row, i] = found.own[i]
-            out[row, 3 + i] = found.parent[i]
-            out[row, 6 + i] = found.reference[i]
-        out[row, _POINTS] = 1.0 if found.heard else 0.0
+        if computes(swarm, tick, row, disturbances):
+            inputs = inputs_of(swarm, tick, row, disturbances)
+            t = since_epoch(swarm.wiring, tick, row)
+            points = task_points(swarm.states[row], inputs, t, dt, swarm.configs[row])
+            store3(out[row], 0, points.own)
+            store3(out[row], 3, points.parent)
+            store3(out[row], 6, points.reference)
+            out[row, _HEARD] = 1.0 if points.heard else 0.0
     return out
 
 
 @kernel
-def _flies(
-    tick: int, row: int, wiring: Wiring, swarm: SwarmState, disturbances: Disturbances | None
-) -> bool:
-    return blown(swarm, wiring, tick, row, disturbances)
+def _flies(tick: int, row: int, swarm: SwarmState, disturbances: Disturbances | None) -> bool:
+    return blown(swarm, tick, row, disturbances)
 
 
 class PluginLoop:
@@ -76,7 +67,7 @@ class PluginLoop:
         self._uavs = [UavPlugins.of(scenario, uav) for uav in self._ids]
         self._task = next((plugins.task for plugins in self._uavs if plugins.task), None)
         self._controls = any(plugins.controller for plugins in self._uavs)
-        self._world = WorldPlugins.of(scenario)
+        self._world = WorldPlugins(scenario)
         self._configs = [agent_config(scenario, uav) for uav in self._ids]
         self._received = {
             (row, sender): last_state_received(scenario, plugins.law.uav, sender)
@@ -96,45 +87,30 @@ class PluginLoop:
         return cls(scenario) if scenario.law or named.of_uav or named.of_world else None
 
     def __call__(
-        self,
-        first: int,
-        count: int,
-        wiring: Wiring,
-        swarm: SwarmState,
-        track: FlightTrack,
-        disturbances: Disturbances | None,
+        self, first: int, count: int, swarm: SwarmState, disturbances: Disturbances | None
     ) -> None:
-        """Ticks first .. first + count - 1 of the whole swarm into `track`."""
+        """Ticks first .. first + count - 1 of the whole swarm into its track."""
         for tick in range(first, first + count):
-            t = since_epoch(wiring, tick, 0)  # of all: a law and vacancy exclude each other
-            sense(swarm, wiring, track, tick, disturbances)
-            self._sense(tick, wiring, swarm, track, disturbances)
-            velocities = self._velocities(tick, t, swarm, track)
+            t = since_epoch(swarm.wiring, tick, 0)  # of all: a law and vacancy exclude each other
+            sense(swarm, tick, disturbances)
+            self._sense(tick, swarm, disturbances)
             tasks = None
             if self._task is not None:
-                points = _task_points(tick, wiring, swarm, track, disturbances)
-                tasks = kernel_list([_geometry(self._task, row) for row in points.tolist()])
-            step_all(tick, wiring, swarm, track, velocities, tasks, disturbances)
+                points = _task_points(tick, swarm, disturbances).tolist()
+                tasks = kernel_list([_geometry(self._task, row) for row in points])
+            step_all(tick, swarm, self._velocities(tick, t, swarm), tasks, disturbances)
             if self._controls:
-                self._control(tick, t, track, disturbances)
-            self._advance(tick, wiring, swarm, track, disturbances)
+                self._control(tick, t, swarm.track, disturbances)
+            self._advance(tick, swarm, disturbances)
 
-    def _sense(
-        self,
-        tick: int,
-        wiring: Wiring,
-        swarm: SwarmState,
-        track: FlightTrack,
-        disturbances: Disturbances | None,
-    ) -> None:
+    def _sense(self, tick: int, swarm: SwarmState, disturbances: Disturbances | None) -> None:
         """Readings of the near-object sensor that is plugged in, in the place of ours."""
-        world = self._world
-        if world is None or world.sensor is None or tick % wiring.near_every:
+        wiring, track = swarm.wiring, swarm.track
+        if self._world.sensor is None or tick % wiring.near_every:
             return
         truth = track.odometry[tick] if disturbances is None else track.truth[tick]
         for row in range(len(self._ids)):
-            near = world.near(row, tick, truth, obstacles_at(wiring, tick), wiring.keep_outs)
-            assert near is not None
+            near = self._world.near(row, tick, truth, obstacles_at(wiring, tick), wiring.keep_outs)
             if disturbances is not None:
                 samples = disturbances.sensor_samples[tick // wiring.near_every, row]
                 seen, noise = track.odometry[tick, row], disturbances.sensor_noise
@@ -142,13 +118,11 @@ class PluginLoop:
             swarm.near[row, : len(near)] = near
             swarm.near_count[row] = len(near)
 
-    def _velocities(
-        self, tick: int, t: float, swarm: SwarmState, track: FlightTrack
-    ) -> Array | None:
+    def _velocities(self, tick: int, t: float, swarm: SwarmState) -> Array | None:
         """Velocities (N, 3) [m/s, ENU] of the law, zeros for the leader; None without a law."""
         if not self._received:
             return None
-        velocities = np.zeros((len(self._ids), 3))
+        track, velocities = swarm.track, np.zeros((len(self._ids), 3))
         for row, plugins in enumerate(self._uavs):
             if plugins.law is not None:
                 near = swarm.near[row, : swarm.near_count[row]]
@@ -173,27 +147,19 @@ class PluginLoop:
                 ours = track.wrench[tick, row]
                 track.wrench[tick, row] = plugins.wrench(t, dt, odometry, command, ours, config)
 
-    def _advance(
-        self,
-        tick: int,
-        wiring: Wiring,
-        swarm: SwarmState,
-        track: FlightTrack,
-        disturbances: Disturbances | None,
-    ) -> None:
-        world = self._world
-        if world is not None and world.disturbance is not None:
+    def _advance(self, tick: int, swarm: SwarmState, disturbances: Disturbances | None) -> None:
+        world, track = self._world, swarm.track
+        if world.disturbance is not None:
             truth = track.odometry[tick] if disturbances is None else track.truth[tick]
             for row, uav in enumerate(self._ids):
-                plant = swarm.plants[row]
-                swarm.plants[row] = world.disturbed(uav, tick, truth[row], plant)
-        if world is None or world.plant is None:
-            advance_all(tick, wiring, swarm, track, disturbances)
+                swarm.plants[row] = world.disturbed(uav, tick, truth[row], swarm.plants[row])
+        if world.plant is None:
+            advance_all(tick, swarm, disturbances)
             return
         for row in range(len(self._ids)):
-            if _flies(tick, row, wiring, swarm, disturbances):
-                plant = swarm.plants[row]
-                world.advance(swarm.bodies[row], track.wrench[tick, row], tick, plant)
+            if _flies(tick, row, swarm, disturbances):
+                wrench, plant = track.wrench[tick, row], swarm.plants[row]
+                world.advance(swarm.bodies[row], wrench, tick, plant)
 
 
 def _geometry(task: PluginTask, row: Sequence[float]) -> TaskGeometry:

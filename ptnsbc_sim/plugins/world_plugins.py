@@ -39,11 +39,6 @@ class WorldPlugins:
             for name in ("disturbance", "plant", "sensor")
         )
 
-    @classmethod
-    def of(cls, scenario: Scenario) -> WorldPlugins | None:
-        """The plug-ins of the world; None where the scenario names none."""
-        return cls(scenario) if scenario.plugins.of_world else None
-
     @cached_property
     def _base(self) -> dict[int, Six]:
         """The constant acceleration that the scenario gives each UAV."""
@@ -70,8 +65,7 @@ class WorldPlugins:
         Raises:
             PluginError: the function raised an error, or did not return six finite numbers.
         """
-        if self.disturbance is None:
-            return plant
+        assert self.disturbance is not None
         t = self._seconds(tick)
         inputs = DisturbanceInputs(t, uav, np.array(truth), self._samples(uav, 2 * tick))
         push = self.disturbance.numbers(inputs, at=f"t = {t:.3f} s")
@@ -121,12 +115,10 @@ class WorldPlugins:
         )
         return np.array(self.plant.numbers(inputs, at=f"t = {t:.4f} s"))
 
-    def near(
-        self, row: int, tick: int, truth: Array, obstacles: Array, keep_outs: Array
-    ) -> Array | None:
-        """Rows (K, 7) that the sensor of UAV number `row` gives; None where it is ours.
+    def near(self, row: int, tick: int, truth: Array, obstacles: Array, keep_outs: Array) -> Array:
+        """Rows (K, 7) that the sensor of UAV number `row` gives, ours or the one that is plugged in.
 
-        They are rounded to float32, as ours are.
+        They are rounded to float32.
 
         Args:
             row: of the observer.
@@ -138,15 +130,13 @@ class WorldPlugins:
         Raises:
             PluginError: the function raised an error, or gave no such rows.
         """
-        if self.sensor is None:
-            return None
         scenario, t = self._scenario, self._seconds(tick)
-        uav = scenario.uav_ids[row]
+        range_m, uav = float(scenario.sensor.range_m), scenario.uav_ids[row]
+        if self.sensor is None:
+            return near_objects(row, truth, obstacles, keep_outs, range_m)
         objects = near_objects(row, truth, obstacles, keep_outs, math.inf)
         samples = self._samples(uav, 2 * (tick // scenario.near_every) + 1)
-        inputs = SensorInputs(
-            t, uav, np.array(truth[row]), objects, float(scenario.sensor.range_m), samples
-        )
+        inputs = SensorInputs(t, uav, np.array(truth[row]), objects, range_m, samples)
         seen = self.sensor.result(inputs)
         try:
             rows = np.asarray(seen, dtype=np.float32).astype(np.float64)

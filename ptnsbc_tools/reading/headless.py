@@ -38,7 +38,7 @@ class _UavMessages:
         uav = flight.scenario.uav_ids[row]
         self._flight = flight
         self._row = row
-        self._near_every = flight.wiring.near_every
+        self._near_every = flight.swarm.wiring.near_every
         self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
         self._encoder = AgentMessages(uav, faults=sent_faults(flight.scenario, uav))

@@ -214,13 +214,12 @@ def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
     world = World(scenario)
     agents = {uav: Agent(agent_config(scenario, uav), world.odometry(uav)) for uav in world.ids}
     size = len(world.ids)
-    seen = flown._replace(
-        track=flown.track._replace(
-            odometry=np.zeros((100, size, 13)),
-            reported=np.zeros((100, size, 13)),
-            estimate=np.zeros((100, size, 13)),
-        )
+    track = flown.track._replace(
+        odometry=np.zeros((100, size, 13)),
+        reported=np.zeros((100, size, 13)),
+        estimate=np.zeros((100, size, 13)),
     )
+    seen = flown._replace(swarm=flown.swarm._replace(track=track))
     near = {}
     for tick in range(100):
         t, dt = world.t_ns * 1e-9, scenario.timing.dt_ns * 1e-9
