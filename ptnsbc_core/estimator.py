@@ -1,12 +1,13 @@
-"""Leader estimator (43)-(48), docs/method.md: position, velocity and yaw of the leader.
+"""Leader estimator (43)-(48), docs/method.md: position, velocity and yaw X of the leader, as a follower i has them.
+
+    g_i = sum_j a_ij (X_i - X_j) + b_i (X_i - X_1)                               (46)
+    X_dot_i = -(Xi_2 / lambda_min(H) + k_1) g_i - k_2 sat(g_i / width)           (44), + v_hat_i for the position
 
 The factor 1/lambda_min(H) makes the networked error reach the residual at tf2 for every graph. The saturation
 (47) alone leaves an error in proportion to the leader's speed; the estimated velocity as feed-forward removes it.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
 from ptnsbc_core.behaviours.neighbour import extrapolated
@@ -34,13 +35,6 @@ NO_DISAGREEMENT = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 """No disagreement."""
 
 
-class EstimatorMeasurements(NamedTuple):
-    """Received states and estimates, compared with the own estimate."""
-
-    disagreement: Estimate  # g_i
-    terms: int  # of the sum: how many were received
-
-
 @inline_kernel
 def add_disagreement(g: Estimate, estimate: Estimate, other: Estimate) -> Estimate:
     """One more term of g_i = sum_j a_ij (X_i - X_j) + b_i (X_i - X_1), (46); yaw differences are wrapped."""
@@ -49,12 +43,6 @@ def add_disagreement(g: Estimate, estimate: Estimate, other: Estimate) -> Estima
         add3(g.velocity, sub3(estimate.velocity, other.velocity)),
         g.yaw + wrap_angle(estimate.yaw - other.yaw),
     )
-
-
-@inline_kernel
-def _euler_step(value: float, g: float, gain: float, dt: float, config: EstimatorConfig) -> float:
-    rate = -gain * g - config.k2 * saturation(g, config.boundary)
-    return value + dt * rate
 
 
 @inline_kernel
@@ -75,11 +63,12 @@ def estimator_step(
 ) -> Estimate:
     """One step of (44): X_dot = -Xi_2 g - k_1 g - k_2 sat(g / width), plus v_hat for the position."""
     gain = step_gain(t, dt, config.duration_s, config.residual) / config.lambda_min + config.k1
+    yaw_rate = -gain * g.yaw - config.k2 * saturation(g.yaw, config.boundary)
     forward = estimate.velocity if config.feed_forward else (0.0, 0.0, 0.0)
     return Estimate(
         _euler_step3(estimate.position, g.position, forward, gain, dt, config),
         _euler_step3(estimate.velocity, g.velocity, (0.0, 0.0, 0.0), gain, dt, config),
-        wrap_angle(_euler_step(estimate.yaw, g.yaw, gain, dt, config)),
+        wrap_angle(estimate.yaw + dt * yaw_rate),
     )
 
 
@@ -111,8 +100,8 @@ def _measurements(
     motion: NeighbourMotion,
     dt: float,
     config: AgentConfig,
-) -> EstimatorMeasurements:
-    """Disagreement of the own estimate with the neighbours' estimates and the leader's state at present."""
+) -> tuple[Estimate, int]:
+    """Disagreement of the own estimate with the neighbours' estimates and the leader's state, and how many they are."""
     g, terms = NO_DISAGREEMENT, 0
     for k in range(inputs.estimates.shape[0]):
         age_s = inputs.estimate_age_s[k]
@@ -123,18 +112,7 @@ def _measurements(
     if pinned:
         leader = _received_leader(inputs, motion, dt, config.leader_slot)
         g, terms = add_disagreement(g, present, leader), terms + 1
-    return EstimatorMeasurements(g, terms)
-
-
-@inline_kernel
-def _mean_received(present: Estimate, measurements: EstimatorMeasurements) -> Estimate:
-    """Mean of what was received: g_i is the sum of the differences of the own estimate from it."""
-    g, share = measurements.disagreement, 1.0 / measurements.terms
-    return Estimate(
-        axpy(-share, g.position, present.position),
-        axpy(-share, g.velocity, present.velocity),
-        wrap_angle(present.yaw - share * g.yaw),
-    )
+    return g, terms
 
 
 @formula
@@ -178,11 +156,15 @@ def leader_estimate(
         # The step below adds velocity * dt: of the velocity now, so half a step's change comes off.
         back = axpy(-0.5 * clock.dt * clock.dt, motion.acceleration, state.estimate.position)
         before = Estimate(back, present.velocity, present.yaw)
-    measurements = _measurements(present, inputs, pinned, motion, clock.dt, config)
-    if measurements.terms == 0:
+    g, terms = _measurements(present, inputs, pinned, motion, clock.dt, config)
+    if terms == 0:
         goes_on = state.estimate_valid and not waits
         return present if goes_on else _at_rest(state.estimate), state.estimate_valid
     if waits or not state.estimate_valid:
-        return _mean_received(present, measurements), True
-    g = measurements.disagreement
+        share = (
+            1.0 / terms
+        )  # g is the sum of the differences from what was received: this is its mean
+        position = axpy(-share, g.position, present.position)
+        velocity = axpy(-share, g.velocity, present.velocity)
+        return Estimate(position, velocity, wrap_angle(present.yaw - share * g.yaw)), True
     return estimator_step(before, g, clock.t, clock.dt, config.estimator), True

@@ -115,10 +115,10 @@ def _control(
 
 
 @inline_kernel
-def _told_paths(estimate: Estimate, planned: bool, clock: Clock, config: AgentConfig) -> ToldPaths:
+def _told_paths(estimate: Estimate, planned: bool, t: float, config: AgentConfig) -> ToldPaths:
     """The announced paths of the UAVs of the formation."""
     return ToldPaths(
-        clock.t,
+        t,
         plan_duration(config.formation) if planned else 0.0,
         estimate.position,
         estimate.velocity,
@@ -140,19 +140,6 @@ class PlannerOutput(NamedTuple):
 
 
 @inline_kernel
-def _view(
-    state: AgentState, inputs: AgentInputs, behaviour: Behaviour, told: ToldPaths, dt: float
-) -> ObstacleView:
-    """The readings of the UAV; without any message the silence counts from the first epoch."""
-    age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
-    demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
-    velocity = velocity_enu(inputs.own)
-    return ObstacleView(
-        inputs.near, age_s, state.obstacle_memory, dt, velocity, state.velocity, demand, told
-    )
-
-
-@inline_kernel
 def _plan(
     state: AgentState,
     inputs: AgentInputs,
@@ -164,7 +151,13 @@ def _plan(
     config: AgentConfig,
 ) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    view = _view(state, inputs, behaviour, told, dt)
+    # without any message of the sensor its silence counts from the first epoch
+    age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
+    demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
+    velocity = velocity_enu(inputs.own)
+    view = ObstacleView(
+        inputs.near, age_s, state.obstacle_memory, dt, velocity, state.velocity, demand, told
+    )
     wanted = way_out(behaviour.velocity, behaviour.place, state.standing_s, config.clearance)
     task = clearance(load3(inputs.own, 0), wanted, view, config.clearance)
     limits = config.filter
@@ -196,8 +189,7 @@ def _standing_s(
     state: AgentState, planned: PlannerOutput, behaviour: Behaviour, dt: float, config: AgentConfig
 ) -> float:
     """Time [s] that the UAV has had no way to its place, after this tick."""
-    command = planned.command.velocity
-    still = stands_still(behaviour.velocity, command, behaviour.place)
+    still = stands_still(behaviour.velocity, planned.command.velocity, behaviour.place)
     still = still and planned.active_rows > 0
     return standing_time(state.standing_s, still, dt, config.clearance)
 
@@ -207,32 +199,20 @@ def _recovery(
     before: Recovery,
     disturbed: bool,
     beside: Beside,
-    command: VelocityReference,
+    command: Vector3,
     clock: Clock,
     config: AgentConfig,
 ) -> Recovery:
-    """The way back after this tick."""
+    """The way back after this tick; the first step of its time base is the next tick."""
     if disturbed:
         return DISTURBED
-    return _rearmed(beside, command.velocity, clock, config) if before.disturbed else before
-
-
-@inline_kernel
-def _rearmed(beside: Beside, command: Vector3, clock: Clock, config: AgentConfig) -> Recovery:
-    """The time base of the way back: its first step is the next tick."""
+    if not before.disturbed:
+        return before
     if not beside.planned:
         return UNDISTURBED
     kappa = config.formation.scale * config.formation.kappa
     closing = sub3(command, beside.velocity)
     return armed(beside.deviation, closing, clock.t + clock.dt, kappa, config.recovery)
-
-
-@inline_kernel
-def _epoch_errors(state: AgentState, at_epoch: bool, t: float, config: AgentConfig) -> EpochErrors:
-    """The plan of this epoch. A UAV that begins after the end of the common plan has a time base of its own."""
-    if not at_epoch:
-        return EpochErrors(False, state.start, state.recovery)
-    return EpochErrors(True, state.start, UNDISTURBED if is_plan_left(t, config) else DISTURBED)
 
 
 @inline_kernel
@@ -367,9 +347,8 @@ def step(
     """One tick: pure, no clock, no randomness, no I/O. Returns the state for the next tick and what to send now.
 
     `t` [s] counts from the latest epoch; `dt` [s] is the control period. `guided` is the velocity [m/s, ENU] of another
-    law in place of the formation law's: clearance, command filter and controller act on it as on ours, and a UAV that
-    holds does not follow it. `task` is a task of the user, evaluated at `task_points`, in place of ours. What depends
-    on the two is compiled only where there is one: numba drops a branch on None.
+    law in place of the formation law's; clearance, filter and controller act on it, a UAV that holds does not follow
+    it. `task` is a task of the user, evaluated at `task_points`. numba drops a branch on None: the two cost nothing.
     """
     inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
@@ -381,7 +360,10 @@ def step(
     yaw = desired_yaw(estimate, target, holding, clock, config)
 
     at_epoch = _begins_anew(state, motions, estimate_valid, t)
-    epoch = _epoch_errors(state, at_epoch, t, config)
+    epoch = EpochErrors(at_epoch, state.start, state.recovery)
+    if at_epoch:  # a UAV that begins after the end of the common plan has a time base of its own
+        own_base = UNDISTURBED if is_plan_left(t, config) else DISTURBED
+        epoch = EpochErrors(True, state.start, own_base)
     behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
@@ -399,12 +381,14 @@ def step(
     on_plan = config.approach == APPROACH_PLANNED and estimate_valid and not holding
     if guided is not None or config.shape.moving:
         on_plan = False  # where the slots are then, `ToldPaths` does not know
-    told = _told_paths(estimate, on_plan, clock, config)
+    told = _told_paths(estimate, on_plan, t, config)
     planned = _plan(state, inputs, behaviour, told, rates, yaw, dt, config)
     command = planned.command
     control = _control(state, inputs, command, clock, config)
     disturbed = holding or planned.active_rows > 0
-    recovery = _recovery(epoch.recovery, disturbed, behaviour.beside, command, clock, config)
+    recovery = _recovery(
+        epoch.recovery, disturbed, behaviour.beside, command.velocity, clock, config
+    )
     counts = not (at_epoch or holding) and guided is None
     standing_s = _standing_s(state, planned, behaviour, dt, config) if counts else 0.0
     after = AgentState(

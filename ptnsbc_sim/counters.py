@@ -48,23 +48,25 @@ class UavCounters:
     SIZE = len(_CUMULATIVE)  # numbers in `numbers`
 
     def __init__(self) -> None:
-        self.ticks = 0
-        self.avoidance_active_s = 0.0
-        self.saturated_s = 0.0
-        self.holding_s = 0.0
-        self.priority_violation_max = 0.0  # [m/s]
-        self.deadlock_s = 0.0
+        self._counted = dict.fromkeys(_CUMULATIVE, 0.0)
         self._newest = AgentDiagnostics((0.0, 0.0, 0.0), 0.0, 0.0, 0, False, False, 0.0, 0.0, False)
 
     def add(self, step: AgentDiagnostics, dt: float) -> None:
         """Count one step that lasted `dt` [s]."""
-        self.ticks += 1
-        self.avoidance_active_s += dt * (step.active_rows > 0)
-        self.saturated_s += dt * step.saturated
-        self.holding_s += dt * step.holding
-        self.priority_violation_max = max(self.priority_violation_max, step.priority_violation)
-        self.deadlock_s += dt * step.deadlock
+        counted = self._counted
+        counted["ticks"] += 1.0
+        counted["avoidance_active_s"] += dt * (step.active_rows > 0)
+        counted["saturated_s"] += dt * step.saturated
+        counted["holding_s"] += dt * step.holding
+        counted["deadlock_s"] += dt * step.deadlock
+        worst = "priority_violation_max"  # [m/s]
+        counted[worst] = max(counted[worst], step.priority_violation)
         self._newest = step
+
+    @property
+    def ticks(self) -> int:
+        """Number of steps."""
+        return int(self._counted["ticks"])
 
     @property
     def deadlock(self) -> bool:
@@ -78,28 +80,25 @@ class UavCounters:
 
     def numbers(self) -> list[float]:
         """The cumulative counters as numbers, as a snapshot of the controller has them."""
-        return [float(getattr(self, name)) for name in _CUMULATIVE]
+        return list(self._counted.values())
 
     def restore(self, numbers: Array) -> None:
         """Continue from what `numbers` returned."""
-        for name, number in zip(_CUMULATIVE, numbers, strict=True):
-            setattr(self, name, float(number))
-        self.ticks = int(numbers[0])
+        self._counted = dict(zip(_CUMULATIVE, numbers.tolist(), strict=True))
 
     def values(self) -> dict[str, str]:
         """Counters and newest figures as key-value strings; `deadlock_s` from the first deadlock on."""
-        newest = self._newest
-        deadlock = {"deadlock_s": f"{self.deadlock_s:.3f}"} if self.deadlock_s > 0.0 else {}
+        newest, counted = self._newest, self._counted
+        times = {name: f"{counted[name]:.3f}" for name in _COUNTED if name != "deadlock_s"}
+        deadlock_s = counted["deadlock_s"]
         return {
-            "avoidance_active_s": f"{self.avoidance_active_s:.3f}",
-            "saturated_s": f"{self.saturated_s:.3f}",
-            "holding_s": f"{self.holding_s:.3f}",
+            **times,
             "ticks": str(self.ticks),
             "formation_error": f"{sum(float(e) ** 2 for e in newest.error) ** 0.5:.6f}",
             "gain": f"{newest.gain:.6f}",
             "sigma_min": f"{newest.singular_value:.6f}",
-            "priority_violation_max": f"{self.priority_violation_max:.6g}",
-            **deadlock,
+            "priority_violation_max": f"{counted['priority_violation_max']:.6g}",
+            **({"deadlock_s": f"{deadlock_s:.3f}"} if deadlock_s > 0.0 else {}),
         }
 
 

@@ -93,30 +93,27 @@ def _parent_rows(scenario: Scenario) -> ParentRows:
 
 def wiring_of(scenario: Scenario) -> Wiring:
     """The scenario's graph and sensors by row."""
-    ids = scenario.uav_ids
-    row = {uav_id: index for index, uav_id in enumerate(ids)}
-    neighbours = [scenario.topology.neighbours.get(uav_id, ()) for uav_id in ids]
-    table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
-    for index, some in enumerate(neighbours):
-        table[index, : len(some)] = [row[uav_id] for uav_id in some]
-    readings = np.arange(-(-scenario.timing.ticks // scenario.near_every), dtype=np.int64)
-    sensed_s: Array = seconds(readings * (scenario.near_every * scenario.timing.dt_ns))
-    parents = [scenario.communication.parent(uav_id) for uav_id in ids]
+    ids, timing = scenario.uav_ids, scenario.timing
+    size, width = len(ids), max(1, *(len(scenario.topology.neighbours.get(uav, ())) for uav in ids))
+    readings = np.arange(-(-timing.ticks // scenario.near_every), dtype=np.int64)
     landing_ns = NEVER_NS if scenario.landing_ns is None else scenario.landing_ns
-    return Wiring(
-        np.full(len(ids), row[scenario.leader.id], dtype=np.int64),
-        np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
+    wiring = Wiring(
+        np.zeros(size, dtype=np.int64),
+        np.zeros(size, dtype=np.int64),
         _parent_rows(scenario),
-        np.array([int(uav_id in scenario.topology.pinned) for uav_id in ids], dtype=np.int64),
-        table,
-        np.array([len(some) for some in neighbours], dtype=np.int64),
-        obstacle_rows(scenario, sensed_s),
+        np.zeros(size, dtype=np.int64),
+        np.full((size, width), -1, dtype=np.int64),
+        np.zeros(size, dtype=np.int64),
+        obstacle_rows(scenario, seconds(readings * (scenario.near_every * timing.dt_ns))),
         keep_outs_of(scenario),
         float(scenario.sensor.range_m),
         int(scenario.near_every),
-        int(scenario.timing.physics_hz // scenario.timing.control_hz),
-        int(scenario.timing.dt_ns),
+        int(timing.physics_hz // timing.control_hz),
+        int(timing.dt_ns),
         PLANTS[scenario.plant.kind],
         np.array([scenario.uav(uav).joins_ns for uav in ids], dtype=np.int64),
         np.array([min(landing_ns, scenario.uav(uav).leaves_ns) for uav in ids], dtype=np.int64),
     )
+    for uav in ids:
+        wire(wiring, scenario, uav)
+    return wiring

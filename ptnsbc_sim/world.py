@@ -13,8 +13,7 @@ from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
-from ptnsbc_sim.plants.inner_loop import keeping_attitude
-from ptnsbc_sim.plants.integrate import advance, odometry, stop
+from ptnsbc_sim.plants.integrate import advance, keeping_attitude, odometry, stop
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.wiring import keep_outs_of

@@ -14,7 +14,7 @@ from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, su
 from ptnsbc_core.behaviours.neighbour import Neighbour
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
-from ptnsbc_core.curves.turned import TurnedStep, plus_scaled, start_of, turned_step
+from ptnsbc_core.curves.turned import plus_scaled, start_of, turned_step
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry, evaluate, task_error
@@ -96,7 +96,14 @@ def formation(
         geometry = given
     slot, offset, desired = config.slot, config.offset, config.desired
     if config.shape.moving:
-        own, edge = _moving_places(clock, config)
+        duration = plan_duration(config.formation)
+        at = places_from_rest(config.shape, config.trajectory, duration, clock.start_t)
+        own = at.own
+        edge = PlaceMotion(
+            sub3(own.position, at.parent.position),
+            sub3(own.velocity, at.parent.velocity),
+            sub3(own.acceleration, at.parent.acceleration),
+        )
         slot, offset, desired = own.position, edge.position, edge.position
         leader, parent = _moved(leader, own), _moved(parent, edge)
     errors = FormationErrors(
@@ -107,19 +114,6 @@ def formation(
     if config.approach == APPROACH_PLANNED:
         return _planned(errors, geometry, parent, leader, epoch, clock, config)
     return _by_task(errors, geometry, parent, leader, epoch, clock, config)
-
-
-@kernel
-def _moving_places(clock: Clock, config: AgentConfig) -> tuple[PlaceMotion, PlaceMotion]:
-    """Desired place relative to the leader, and relative to the parent, with their motion."""
-    duration = plan_duration(config.formation)
-    at = places_from_rest(config.shape, config.trajectory, duration, clock.start_t)
-    own, parent = at.own, at.parent
-    return own, PlaceMotion(
-        sub3(own.position, parent.position),
-        sub3(own.velocity, parent.velocity),
-        sub3(own.acceleration, parent.acceleration),
-    )
 
 
 @formula
@@ -182,39 +176,6 @@ def _by_task(
     )
 
 
-class ParentDeviation(NamedTuple):
-    """Motion of the parent beside its plan, as it was when the parent told it."""
-
-    velocity: Vector3  # [m/s, ENU]
-    acceleration: Vector3  # [m/s^2, ENU]
-
-
-@inline_kernel
-def _parent_deviation(
-    parent: Neighbour, leader: Neighbour, start: Vector3, plan: TurnedStep
-) -> ParentDeviation:
-    """Against v_L - z_dot E_0 of the parent's own start error (3,) [m].
-
-    A deviation is not extrapolated. Extrapolated over a delay, it would grow from hop to hop.
-    """
-    relative = sub3(parent.acceleration, leader.acceleration)
-    acceleration = plus_scaled(-1.0, plan.acceleration, start, relative)
-    velocity = plus_scaled(-1.0, plan.rate, start, sub3(parent.velocity, leader.velocity))
-    return ParentDeviation(axpy(-parent.delay_s, acceleration, velocity), acceleration)
-
-
-@inline_kernel
-def _planned_starts(
-    errors: FormationErrors, epoch: EpochErrors, plan: TurnedStep
-) -> tuple[Vector3, Vector3]:
-    """E_0 and e_0, from which the plan leads to the place; at an epoch they follow from the errors of now."""
-    if not epoch.at_epoch:
-        return epoch.start.slot, epoch.start.edge
-    if plan.left.up > _LEAST_LEFT:
-        return start_of(plan.left, errors.slot), start_of(plan.left, errors.edge)
-    return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-
-
 @kernel
 def _planned(
     errors: FormationErrors,
@@ -236,18 +197,26 @@ def _planned(
     gain = config.formation
     kappa = gain.scale * gain.kappa
     plan = turned_step(plan_duration(gain), config.turn, clock)
-    slot_start, edge_start = _planned_starts(errors, epoch, plan)
-    beside = _parent_deviation(parent, leader, sub3(slot_start, edge_start), plan)
-    late = parent.delay_s
-    edge = axpy(-late, beside.velocity, errors.edge)
-    edge = axpy(-0.5 * late * late, beside.acceleration, edge)
+    slot_start, edge_start = epoch.start.slot, epoch.start.edge  # E_0, e_0
+    if epoch.at_epoch:
+        slot_start, edge_start = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if plan.left.up > _LEAST_LEFT:
+            slot_start = start_of(plan.left, errors.slot)
+            edge_start = start_of(plan.left, errors.edge)
+
+    # d_j as it was when the parent told it: extrapolated over a delay, it would grow from hop to hop
+    late, parent_start = parent.delay_s, sub3(slot_start, edge_start)
+    swerve = sub3(parent.acceleration, leader.acceleration)
+    swerve = plus_scaled(-1.0, plan.acceleration, parent_start, swerve)
+    follow = sub3(parent.velocity, leader.velocity)
+    follow = axpy(-late, swerve, plus_scaled(-1.0, plan.rate, parent_start, follow))
+    edge = axpy(-0.5 * late * late, swerve, axpy(-late, follow, errors.edge))
 
     back = way_back(epoch.recovery, clock, kappa)
     own = plus_scaled(-1.0, plan.left, slot_start, errors.slot)
     relative = plus_scaled(-1.0, plan.left, edge_start, edge)
     beside_plan, beside_edge = sub3(own, back.deviation), sub3(relative, back.deviation)
 
-    follow = beside.velocity
     rate = sub3(scale3(kappa, errors.task), matvec(geometry.parent, follow))
     by_task = _solve(geometry, rate, axpy(kappa, edge, follow), config)
     weight = _SHARE * _task_weight(norm3(edge), by_task.singular_value, clock.t, config)
@@ -259,7 +228,7 @@ def _planned(
     far = max(norm3(beside_plan), norm3(beside_edge))
     shared = scale3(_SHARE, follow)
     correction = braked(correction, shared, far, kappa + xi, config)
-    lead = axpy(_SHARE, beside.acceleration, leader.acceleration)
+    lead = axpy(_SHARE, swerve, leader.acceleration)
     planned = plus_scaled(1.0, plan.rate, slot_start, leader.velocity)
     itself = axpy(_SHARE, relative, scale3(1.0 - _SHARE, own))
     return Behaviour(

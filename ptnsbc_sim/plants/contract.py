@@ -89,22 +89,15 @@ def update_waves(waves: Waves, config: PlantConfig, t: float, step: float) -> No
         _computed(waves, config.phase, t, step)
 
 
-class Push(NamedTuple):
-    """The disturbance of one vehicle without its sines."""
-
-    amplitude: Six  # [m/s^2] x 3, [rad/s^2] x 3
-    offset: Six
-
-
 @inline_kernel
 def _disturbed(offset: float, amplitude: float, sine: float) -> float:
     return offset + amplitude * sine if amplitude != 0.0 else offset
 
 
 @inline_kernel
-def disturbance(push: Push, sines: Array, instant: int) -> Six:
+def disturbance(config: PlantConfig, sines: Array, instant: int) -> Six:
     """Disturbance acceleration, linear [m/s^2] then angular [rad/s^2], at one instant of the `Waves` (Table 2)."""
-    a, b = push.offset, push.amplitude
+    a, b = config.offset, config.amplitude
     return (
         _disturbed(a[0], b[0], sines[instant, 0]),
         _disturbed(a[1], b[1], sines[instant, 1]),

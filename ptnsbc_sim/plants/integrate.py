@@ -1,4 +1,4 @@
-"""One control period of one vehicle: Runge-Kutta of fourth order at the physics rate."""
+"""One control period of one vehicle, by Runge-Kutta of fourth order; its start, and its inner loop."""
 
 from __future__ import annotations
 
@@ -10,11 +10,6 @@ from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
 from ptnsbc_sim.plants import quadrotor, rigid_body
 from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Waves, no_waves, update_waves
-
-rigid_advance = rigid_body.advance
-rigid_odometry = rigid_body.store_odometry
-quadrotor_advance = quadrotor.advance
-quadrotor_odometry = quadrotor.store_odometry
 
 
 @kernel
@@ -34,9 +29,9 @@ def initial_state(position: Array, euler: Array, config: PlantConfig) -> Array:
 def store_odometry(out: Array, x: Array, kind: int) -> None:
     """Odometry vector of a plant state (17,) into `out` (13,)."""
     if kind == PLANT_RIGID_BODY:
-        rigid_odometry(out, x)
+        rigid_body.store_odometry(out, x)
     else:
-        quadrotor_odometry(out, x)
+        quadrotor.store_odometry(out, x)
 
 
 @inline_kernel
@@ -66,9 +61,9 @@ def advance_with(
     step = dt / (waves.sines.shape[0] // 2)
     update_waves(waves, config, t, step)
     if config.kind == PLANT_RIGID_BODY:
-        rigid_advance(out, wrench, step, config, waves.sines)
+        rigid_body.advance(out, wrench, step, config, waves.sines)
     else:
-        quadrotor_advance(out, wrench, step, config, waves.sines)
+        quadrotor.advance(out, wrench, step, config, waves.sines)
 
 
 @kernel
@@ -77,3 +72,21 @@ def advance(
 ) -> None:
     """State `out` (17,), in place, by one control period dt [s] from t [s] under a held wrench (6,)."""
     advance_with(out, wrench, t, dt, config, no_waves(substeps))
+
+
+def keeping_attitude(wrench: Array, rates: Array, plant: PlantConfig, period_s: float) -> Array:
+    """A wrench (6,) with the force of `wrench`, and with torques that end the rotation.
+
+    The rates decay with twice the control period, or twice the lag of the motors where that is longer: then they and
+    the motors together are damped by 0.7.
+
+    Args:
+        wrench: The newest one (6,), body axes [N, N m].
+        rates: Of the body (3,) [rad/s].
+        plant: Has inertia and motors.
+        period_s: Length of a control period [s].
+    """
+    momentum = np.array(plant.inertia) * rates
+    held = wrench.copy()
+    held[3:6] = np.cross(rates, momentum) - momentum / (2.0 * max(period_s, plant.motor_lag_s))
+    return held

@@ -13,7 +13,7 @@ from ptnsbc_core.algebra import add3, axpy, load3, matvec_transposed, store3
 from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.types import Array, Vector3
-from ptnsbc_sim.plants.contract import PlantConfig, Push, Six, disturbance
+from ptnsbc_sim.plants.contract import PlantConfig, Six, disturbance
 
 Quaternion = tuple[float, float, float, float]
 
@@ -47,54 +47,22 @@ def store_state(out: Array, x: QuadrotorState) -> None:
     store3(out, 14, x.torque)
 
 
-class QuadrotorForces(NamedTuple):
-    """The actions on the vehicle during one control period, but for the disturbance."""
-
-    mass: float  # [kg]
-    inertia: Vector3  # [kg m^2]
-    gravity: float  # [m/s^2]
-    drag: float  # [1/s]
-    wind: Vector3  # [m/s, ENU]
-    motor_rate: float  # [1/s]
-    thrust: float  # [N] commanded, within the limits
-    torque: Vector3  # [N m] commanded, within the limits
-
-
-@inline_kernel
-def _limited(value: float, most: float) -> float:
-    return min(max(value, -most), most)
-
-
-@inline_kernel
-def forces(wrench: Array, config: PlantConfig) -> QuadrotorForces:
-    """For a commanded thrust wrench[2] and torques wrench[3:6]."""
-    most = config.max_torque
-    return QuadrotorForces(
-        config.mass,
-        config.inertia,
-        config.gravity,
-        config.drag,
-        load3(config.wind, 0),
-        1.0 / config.motor_lag_s,
-        min(max(wrench[2], 0.0), config.max_thrust),
-        (
-            _limited(wrench[3], most[0]),
-            _limited(wrench[4], most[1]),
-            _limited(wrench[5], most[2]),
-        ),
-    )
-
-
 @formula
-def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> QuadrotorState:
-    """x_dot under these forces and a disturbance acceleration."""
+def derivative(
+    x: QuadrotorState, thrust: float, torque: Vector3, config: PlantConfig, push: Six
+) -> QuadrotorState:
+    """x_dot under a commanded thrust [N] and torque [N m], within the limits, and a disturbance acceleration.
+
+    p_dot = v,  q_dot = q (w, 0) / 2,  v_dot = R e_z T / m - g e_z - drag (v - wind) + d_v,
+    I w_dot = tau - w x I w + I d_w,  T_dot = (T_c - T) / lag,  tau_dot = (tau_c - tau) / lag
+    """
     a, b, c, d = x.quaternion
     p, q, r = x.rates
     u, v, w = x.velocity
-    lift, drag, wind = x.thrust / acting.mass, acting.drag, acting.wind
+    lift, drag, wind = x.thrust / config.mass, config.drag, config.wind
     up = 1.0 - 2.0 * (a * a + b * b)
-    ix, iy, iz = acting.inertia[0], acting.inertia[1], acting.inertia[2]
-    rate, torque = acting.motor_rate, acting.torque
+    ix, iy, iz = config.inertia[0], config.inertia[1], config.inertia[2]
+    rate = 1.0 / config.motor_lag_s
     return QuadrotorState(
         x.velocity,
         (
@@ -106,14 +74,14 @@ def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> Quadrot
         (
             2.0 * (a * c + d * b) * lift - drag * (u - wind[0]) + push[0],
             2.0 * (b * c - d * a) * lift - drag * (v - wind[1]) + push[1],
-            up * lift - acting.gravity - drag * (w - wind[2]) + push[2],
+            up * lift - config.gravity - drag * (w - wind[2]) + push[2],
         ),
         (
             (x.torque[0] + (iy - iz) * q * r) / ix + push[3],
             (x.torque[1] + (iz - ix) * r * p) / iy + push[4],
             (x.torque[2] + (ix - iy) * p * q) / iz + push[5],
         ),
-        (acting.thrust - x.thrust) * rate,
+        (thrust - x.thrust) * rate,
         (
             (torque[0] - x.torque[0]) * rate,
             (torque[1] - x.torque[1]) * rate,
@@ -164,29 +132,33 @@ def _normalised(x: QuadrotorState) -> QuadrotorState:
 
 
 @inline_kernel
-def step(
-    x: QuadrotorState, acting: QuadrotorForces, pushes: tuple[Six, Six, Six], step_s: float
-) -> QuadrotorState:
-    """One Runge-Kutta step of fourth order; disturbances at its start, middle and end."""
-    half = 0.5 * step_s
-    first = derivative(x, acting, pushes[0])
-    second = derivative(ahead(x, half, first), acting, pushes[1])
-    third = derivative(ahead(x, half, second), acting, pushes[1])
-    fourth = derivative(ahead(x, step_s, third), acting, pushes[2])
-    middle = _sum(second, third)
-    slope = _sum(_sum(first, _sum(middle, middle)), fourth)
-    return _normalised(ahead(x, step_s / 6.0, slope))
+def _limited(value: float, most: float) -> float:
+    return min(max(value, -most), most)
 
 
 @inline_kernel
 def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
-    """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
-    x, acting = from_array(out), forces(wrench, config)
-    push = Push(config.amplitude, config.offset)
-    now = disturbance(push, sines, 0)
+    """State `out` (17,), in place, by one control period; `sines` as in `Waves`.
+
+    Runge-Kutta of fourth order, with the disturbances at the start, middle and end of a step.
+    """
+    x, most, half = from_array(out), config.max_torque, 0.5 * step_s
+    thrust = min(max(wrench[2], 0.0), config.max_thrust)
+    torque = (
+        _limited(wrench[3], most[0]),
+        _limited(wrench[4], most[1]),
+        _limited(wrench[5], most[2]),
+    )
+    now = disturbance(config, sines, 0)
     for n in range(sines.shape[0] // 2):
-        middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)
-        x = step(x, acting, (now, middle, end), step_s)
+        middle, end = disturbance(config, sines, 2 * n + 1), disturbance(config, sines, 2 * n + 2)
+        first = derivative(x, thrust, torque, config, now)
+        second = derivative(ahead(x, half, first), thrust, torque, config, middle)
+        third = derivative(ahead(x, half, second), thrust, torque, config, middle)
+        fourth = derivative(ahead(x, step_s, third), thrust, torque, config, end)
+        both = _sum(second, third)
+        slope = _sum(_sum(first, _sum(both, both)), fourth)
+        x = _normalised(ahead(x, step_s / 6.0, slope))
         now = end
     store_state(out, x)
 

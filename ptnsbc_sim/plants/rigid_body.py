@@ -15,7 +15,7 @@ from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import Array
-from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Push, Six, disturbance
+from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Six, disturbance
 
 _USED = 12
 """Entries of the state that this plant has."""
@@ -64,10 +64,9 @@ def _ahead(x: Array, factor: float, slope: Array, out: Array) -> None:
 def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
     """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
     slopes, mid = np.empty((4, STATE_SIZE)), np.empty(STATE_SIZE)
-    push = Push(config.amplitude, config.offset)
-    now = disturbance(push, sines, 0)
+    now = disturbance(config, sines, 0)
     for n in range(sines.shape[0] // 2):
-        middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)
+        middle, end = disturbance(config, sines, 2 * n + 1), disturbance(config, sines, 2 * n + 2)
         derivative(out, wrench, now, config, slopes[0])
         _ahead(out, 0.5 * step_s, slopes[0], mid)
         derivative(mid, wrench, middle, config, slopes[1])

@@ -8,7 +8,7 @@ from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.types import PLANT_RIGID_BODY
 from ptnsbc_sim.plants.build import plant_config, start_states
-from ptnsbc_sim.plants.contract import PlantConfig, Push, disturbance, no_waves, six, update_waves
+from ptnsbc_sim.plants.contract import PlantConfig, disturbance, no_waves, update_waves
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -140,7 +140,7 @@ def test_disturbance_is_an_acceleration() -> None:
     t = 0.7
     waves = no_waves(1)
     update_waves(waves, plant, t, 0.01)
-    push = disturbance(Push(six(plant.amplitude), six(plant.offset)), waves.sines, 0)
+    push = disturbance(plant, waves.sines, 0)
     np.testing.assert_allclose(
         push, [0.2 * np.cos(t), 0.1 * np.sin(t), 0.05, 0, 0, 0.3 * np.sin(t)]
     )

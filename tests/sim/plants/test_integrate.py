@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.plants.build import plant_config
-from ptnsbc_sim.plants.inner_loop import keeping_attitude
+from ptnsbc_sim.plants.integrate import keeping_attitude
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.world import World
 
