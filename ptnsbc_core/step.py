@@ -199,7 +199,7 @@ def _recovery(
     before: Recovery,
     disturbed: bool,
     beside: Beside,
-    command: Vector3,
+    command: VelocityReference,
     clock: Clock,
     config: AgentConfig,
 ) -> Recovery:
@@ -211,7 +211,7 @@ def _recovery(
     if not beside.planned:
         return UNDISTURBED
     kappa = config.formation.scale * config.formation.kappa
-    closing = sub3(command, beside.velocity)
+    closing = sub3(command.velocity, beside.velocity)
     return armed(beside.deviation, closing, clock.t + clock.dt, kappa, config.recovery)
 
 
@@ -386,9 +386,7 @@ def step(
     command = planned.command
     control = _control(state, inputs, command, clock, config)
     disturbed = holding or planned.active_rows > 0
-    recovery = _recovery(
-        epoch.recovery, disturbed, behaviour.beside, command.velocity, clock, config
-    )
+    recovery = _recovery(epoch.recovery, disturbed, behaviour.beside, command, clock, config)
     counts = not (at_epoch or holding) and guided is None
     standing_s = _standing_s(state, planned, behaviour, dt, config) if counts else 0.0
     after = AgentState(
