@@ -54,31 +54,12 @@ OWN, PARENT, LEADER, PARENT_AGE, LEADER_AGE, NEAR_AGE, MODE, START_AGE, ESTIMATE
     INPUT_WIDTHS
 )
 
-DIAGNOSTICS_WIDTHS = {
-    "error": 3,
-    "gain": 1,
-    "singular_value": 1,
-    "active_rows": 1,
-    "saturated": 1,
-    "holding": 1,
-    "priority_violation": 1,
-    "velocity_error": 1,
-    "deadlock": 1,
-}
-"""Fields of `AgentDiagnostics` in a row of numbers."""
-
-(
-    ERROR,
-    GAIN,
-    SINGULAR_VALUE,
-    ACTIVE_ROWS,
-    SATURATED,
-    HOLDING,
-    PRIORITY_VIOLATION,
-    VELOCITY_ERROR,
-    DEADLOCK,
-    DIAGNOSTICS_SIZE,
-) = offsets(DIAGNOSTICS_WIDTHS)
+_WIDTHS = {name: 3 if name == "error" else 1 for name in AgentDiagnostics._fields}
+ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS, SATURATED, HOLDING, *_REST, DIAGNOSTICS_SIZE = offsets(
+    _WIDTHS
+)
+PRIORITY_VIOLATION, VELOCITY_ERROR, DEADLOCK = _REST
+"""Columns of `AgentDiagnostics` in a row of numbers."""
 
 OUTPUT_WIDTHS = {
     "velocity": 4,
@@ -242,20 +223,9 @@ def store_outputs(
 
 def load_diagnostics(row: Array) -> AgentDiagnostics:
     """The diagnostics that `store_outputs` has written into (11,)."""
-    x, y, z, gain, singular_value, rows, saturated, holding, violation, error, deadlock = (
-        row.tolist()
-    )
-    return AgentDiagnostics(
-        (x, y, z),
-        gain,
-        singular_value,
-        int(rows),
-        saturated > 0.0,
-        holding > 0.0,
-        violation,
-        error,
-        deadlock > 0.0,
-    )
+    x, y, z, gain, singular, rows, saturated, holding, violation, error, deadlock = row.tolist()
+    limits = int(rows), saturated > 0.0, holding > 0.0
+    return AgentDiagnostics((x, y, z), gain, singular, *limits, violation, error, deadlock > 0.0)
 
 
 def _copied(state: AgentState) -> AgentState:

@@ -176,31 +176,13 @@ def _jacobi_rotation(on_p: float, on_q: float, between: float) -> Vector2:
 
 
 @formula
-def _first_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
+def _turned(a: Matrix3, p: int, q: int, turn: Vector2) -> Matrix3:
+    """Columns p and q of `a`, given as its columns, turned into each other."""
     c, s = turn
-    return c * x[0] - s * y[0], c * x[1] - s * y[1], c * x[2] - s * y[2]
-
-
-@formula
-def _second_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
-    c, s = turn
-    return s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2]
-
-
-@formula
-def _turned_01(a: Matrix3, turn: Vector2) -> Matrix3:
-    """Columns 0 and 1 of `a`, given as its columns, turned into each other."""
-    return _first_turned(a[0], a[1], turn), _second_turned(a[0], a[1], turn), a[2]
-
-
-@formula
-def _turned_02(a: Matrix3, turn: Vector2) -> Matrix3:
-    return _first_turned(a[0], a[2], turn), a[1], _second_turned(a[0], a[2], turn)
-
-
-@formula
-def _turned_12(a: Matrix3, turn: Vector2) -> Matrix3:
-    return a[0], _first_turned(a[1], a[2], turn), _second_turned(a[1], a[2], turn)
+    columns = [a[0], a[1], a[2]]
+    columns[p] = sub3(scale3(c, a[p]), scale3(s, a[q]))
+    columns[q] = add3(scale3(s, a[p]), scale3(c, a[q]))
+    return columns[0], columns[1], columns[2]
 
 
 @kernel
@@ -214,16 +196,16 @@ def eigen3(gram: Matrix3) -> Eigen3:
             break
         if a[1][0] != 0.0:
             turn = _jacobi_rotation(a[0][0], a[1][1], a[1][0])
-            a = transpose(_turned_01(transpose(_turned_01(a, turn)), turn))
-            v = _turned_01(v, turn)
+            a = transpose(_turned(transpose(_turned(a, 0, 1, turn)), 0, 1, turn))
+            v = _turned(v, 0, 1, turn)
         if a[2][0] != 0.0:
             turn = _jacobi_rotation(a[0][0], a[2][2], a[2][0])
-            a = transpose(_turned_02(transpose(_turned_02(a, turn)), turn))
-            v = _turned_02(v, turn)
+            a = transpose(_turned(transpose(_turned(a, 0, 2, turn)), 0, 2, turn))
+            v = _turned(v, 0, 2, turn)
         if a[2][1] != 0.0:
             turn = _jacobi_rotation(a[1][1], a[2][2], a[2][1])
-            a = transpose(_turned_12(transpose(_turned_12(a, turn)), turn))
-            v = _turned_12(v, turn)
+            a = transpose(_turned(transpose(_turned(a, 1, 2, turn)), 1, 2, turn))
+            v = _turned(v, 1, 2, turn)
     return Eigen3((a[0][0], a[1][1], a[2][2]), v)
 
 

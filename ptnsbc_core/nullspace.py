@@ -1,5 +1,7 @@
 """Null-space composition (7)-(11), (18)-(22), (37), (38) for any number of tasks, see docs/method.md.
 
+    v = v_1 + N_1 v_2 + N_{1,2} v_3 + ...,  N = I - J^+ J of the stacked rows of all higher tasks
+
 Every velocity is one UAV's in the world frame (3,) [m/s, ENU]. The controller applies Theta^-1, once.
 """
 

@@ -1,7 +1,9 @@
 """Time-base generator (12)-(15), (31), (32), (45), (52), docs/method.md.
 
-h rises from 0 to 1 on [0, tf] with three vanishing derivatives at both ends. The gain Xi = h_dot / (1 - h + q)
-drives x_dot = -Xi x to the residual q / (1 + q) of its start value at tf, for every start value.
+    h(s) = s^4 (35 - 84 s + 70 s^2 - 20 s^3),  s = t / tf       Xi = h_dot / (1 - h + q)       G = Lambda (Xi + kappa c)
+
+h rises from 0 to 1 on [0, tf] with three vanishing derivatives at both ends. Xi drives x_dot = -Xi x to the residual
+q / (1 + q) of its start value at tf, for every start value.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import scale3
+from ptnsbc_core.algebra import axpy, div3, scale3, sub3
 from ptnsbc_core.errors import GainError
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, LoopGain, Vector3
@@ -85,11 +87,9 @@ def task_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock
     if gain.profile == PROFILE_REFERENCE:
         now = h(clock.t / gain.duration_s)
         rise = h((clock.t + clock.dt) / gain.duration_s) - now
-        return (
-            _planned_rate(gain, error[0], start_error[0], now, rise, clock.dt),
-            _planned_rate(gain, error[1], start_error[1], now, rise, clock.dt),
-            _planned_rate(gain, error[2], start_error[2], now, rise, clock.dt),
-        )
+        planned = div3(scale3(rise, start_error), clock.dt)
+        beside = sub3(error, scale3(1.0 - now, start_error))
+        return axpy(gain.scale * gain.kappa, beside, planned)
     return scale3(loop_gain(gain, clock), error)
 
 
@@ -139,14 +139,6 @@ def plan_step(duration_s: float, clock: Clock) -> PlanStep:
     now = h(clock.t / duration_s)
     rate = (h((clock.t + clock.dt) / duration_s) - now) / clock.dt
     return PlanStep(1.0 - now, rate, _rise_change(duration_s, clock) / clock.dt)
-
-
-@inline_kernel
-def _planned_rate(
-    gain: LoopGain, error: float, start_error: float, now: float, rise: float, dt: float
-) -> float:
-    planned = start_error * (1.0 - now)
-    return start_error * rise / dt + gain.scale * gain.kappa * (error - planned)
 
 
 @lru_cache

@@ -18,9 +18,7 @@ class Topology(NamedTuple):
     order: tuple[int, ...]  # ids, ascending
     parent: Mapping[int, int]  # follower: parent
     pinned: frozenset[int]  # followers that receive the leader's state
-    neighbours: Mapping[
-        int, tuple[int, ...]
-    ]  # follower: neighbours in the estimator graph, ascending
+    neighbours: Mapping[int, tuple[int, ...]]  # follower: in the estimator graph, ascending
     matrix: Array  # (n, n) H = L_FF + diag(b), followers ascending
     lambda_min: float
     lambda_max: float

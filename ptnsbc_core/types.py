@@ -37,11 +37,7 @@ APPROACH_TASK, APPROACH_PLANNED = 0, 1
 APPROACHES = {"task": APPROACH_TASK, "planned": APPROACH_PLANNED}
 
 AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED = 0, 1, 2
-AVOIDANCE = {
-    "off": AVOIDANCE_OFF,
-    "set_based": AVOIDANCE_SET_BASED,
-    "switched": AVOIDANCE_SWITCHED,
-}
+AVOIDANCE = {"off": AVOIDANCE_OFF, "set_based": AVOIDANCE_SET_BASED, "switched": AVOIDANCE_SWITCHED}
 
 SPEED_LINEAR, SPEED_BRAKING = 0, 1
 APPROACH_SPEEDS = {"linear": SPEED_LINEAR, "braking": SPEED_BRAKING}
@@ -240,9 +236,7 @@ class AgentInputs(NamedTuple):
     parent_age_s: float
     leader: OdometryLike  # (13,) odometry vector of the leader, for pinned followers
     leader_age_s: float
-    estimates: (
-        Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world frame
-    )
+    estimates: Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world
     estimate_age_s: Array  # (K,)
     near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
     near_age_s: float

@@ -75,10 +75,8 @@ def _of_uav(
             continue
         if tick == woke[tick] > 0:  # a process that begins anew knows nothing
             view, before = View(scenario, uav), None
-        since_ns, awake_ns = (
-            tick * scenario.timing.dt_ns,
-            (tick - int(woke[tick])) * scenario.timing.dt_ns,
-        )
+        dt_ns = scenario.timing.dt_ns
+        since_ns, awake_ns = tick * dt_ns, (tick - int(woke[tick])) * dt_ns
         found = {other: float(of[tick]) for other, of in ages.items()}
         members = view.at(since_ns, awake_ns, found)
         after = formations.of(members)

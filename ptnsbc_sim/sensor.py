@@ -92,14 +92,10 @@ def store_near(
 def near_objects(
     who: int, odometry: Array, obstacles: Array, keep_outs: Array, range_m: float
 ) -> Array:
-    """Rows (M, 7) x y z keep-out vx vy vz [m, m/s, ENU] that UAV number `who` (row) sees.
+    """Rows (M, 7) x y z keep-out vx vy vz [m, m/s, ENU] that UAV number `who` (row) sees within `range_m`.
 
-    Args:
-        who: row of the observer.
-        odometry: (N, 13) odometry vectors of all UAVs.
-        obstacles: (O, 20) obstacles, rows of bodies.
-        keep_outs: (N,) keep-outs of the UAVs [m]: the mean of both is that of a pair.
-        range_m: detection range [m].
+    `odometry` (N, 13) is of all UAVs, `obstacles` (O, 20) are rows of bodies. The keep-out of a pair of UAVs is the
+    mean of its `keep_outs` (N,) [m].
     """
     objects = np.empty((odometry.shape[0] + obstacles.shape[0], NEAR_COLUMNS))
     store_objects(odometry, obstacles, objects)

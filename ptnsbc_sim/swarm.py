@@ -24,8 +24,7 @@ from ptnsbc_sim.disturbances.build import (
     sensor_noise_samples,
 )
 from ptnsbc_sim.disturbances.links import last_received_by
-from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
-from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
+from ptnsbc_sim.disturbances.noise import add_sensor_noise, initial_error, measured_odometry
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
 from ptnsbc_sim.plugins.loop import PluginLoop

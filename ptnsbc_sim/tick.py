@@ -31,9 +31,7 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.faults import add_jumps
-from ptnsbc_sim.disturbances.gusts import gust_step
-from ptnsbc_sim.disturbances.position_noise import measured_odometry
-from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
+from ptnsbc_sim.disturbances.noise import add_sensor_noise, gust_step, measured_odometry
 from ptnsbc_sim.plants.contract import PlantConfig, Waves
 from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
 from ptnsbc_sim.sensor import store_near, store_objects
@@ -168,70 +166,57 @@ def since_epoch(wiring: Wiring, tick: int, row: int) -> float:
 @kernel
 def sense(swarm: SwarmState, tick: int, disturbances: Disturbances | None) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
-    size, track = swarm.bodies.shape[0], swarm.track
+    wiring, track, size = swarm.wiring, swarm.track, swarm.bodies.shape[0]
     true = track.odometry if disturbances is None else track.truth
     for row in range(size):
-        store_odometry(true[tick, row], swarm.bodies[row], swarm.wiring.plant)
+        store_odometry(true[tick, row], swarm.bodies[row], wiring.plant)
     if disturbances is not None:
         for row in range(size):
             store(track.odometry[tick, row], 0, _believed(swarm, tick, row, disturbances))
-    if tick % swarm.wiring.near_every == 0:
-        _sense_near(swarm, tick, disturbances)
-
-
-@kernel
-def _sense_near(swarm: SwarmState, tick: int, disturbances: Disturbances | None) -> None:
-    wiring, track = swarm.wiring, swarm.track
-    true = track.odometry[tick] if disturbances is None else track.truth[tick]
+    if tick % wiring.near_every > 0:
+        return
     obstacles = obstacles_at(wiring, tick)
-    store_objects(true, obstacles, swarm.objects)
-    for row in range(true.shape[0]):
+    store_objects(true[tick], obstacles, swarm.objects)
+    for row in range(size):
+        near, keep_outs = swarm.near[row], wiring.keep_outs
         count = store_near(
-            row, true, obstacles, swarm.objects, wiring.keep_outs, wiring.range_m, swarm.near[row]
+            row, true[tick], obstacles, swarm.objects, keep_outs, wiring.range_m, near
         )
         swarm.near_count[row] = count
         if disturbances is not None:
             samples = disturbances.sensor_samples[tick // wiring.near_every, row]
-            seen = track.odometry[tick, row]
-            near = add_sensor_noise(
-                swarm.near[row, :count], true[row], seen, samples, disturbances.sensor_noise
-            )
+            seen, kind = track.odometry[tick, row], disturbances.sensor_noise
+            measured = add_sensor_noise(near[:count], true[tick, row], seen, samples, kind)
             for k in range(count):
-                store(swarm.near[row, k], 0, near[k])
+                store(near[k], 0, measured[k])
 
 
 @kernel
 def _believed(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
-    truth = swarm.track.truth
+    truth, kind = swarm.track.truth, disturbances.position_noise
     measured = measured_odometry(
         truth[tick, row],
-        truth[max(tick - disturbances.position_noise.delay, 0), row],
-        truth[max(tick - disturbances.position_noise.compensated, 0), row],
+        truth[max(tick - kind.delay, 0), row],
+        truth[max(tick - kind.compensated, 0), row],
         disturbances.position_errors[row],
         disturbances.position_samples[tick, row],
         tick,
         seconds(swarm.wiring.dt_ns),
-        disturbances.position_noise,
+        kind,
     )
     add_jumps(measured, tick, row, disturbances.jumps)
     return measured
 
 
 @inline_kernel
-def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
-    """True if the process of UAV number `row` is not there."""
-    return disturbances.gone[tick, row]
-
-
-@inline_kernel
 def computes(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | None) -> bool:
     """True if UAV number `row` computes at `tick`. One that begins anew starts from what it sees."""
     if disturbances is not None:
-        if dead(tick, row, disturbances):
+        if disturbances.gone[tick, row]:
             note_silence(swarm.track, tick, row)
             return False
-        if tick > 0 and dead(tick - 1, row, disturbances):
+        if tick > 0 and disturbances.gone[tick - 1, row]:
             swarm.states[row] = initial_state(swarm.track.odometry[tick, row], swarm.configs[row])
     return True
 
@@ -242,7 +227,7 @@ def blown(swarm: SwarmState, tick: int, row: int, disturbances: Disturbances | N
     if disturbances is not None:
         samples, wind = disturbances.gust_samples[tick, row], swarm.plants[row].wind
         gust_step(disturbances.gust[row], wind, samples, tick, disturbances.gusts)
-        if dead(tick, row, disturbances):
+        if disturbances.gone[tick, row]:
             stop(swarm.bodies[row], swarm.wiring.plant)
             return False
     return True

@@ -28,9 +28,7 @@ class FlightTrack(NamedTuple):
     wrench: Array  # (T, N, 6)
     estimate: Array  # (T, N, 13)
     diagnostics: Array  # (T, N, 11)
-    reported: (
-        Array  # (T, N, 13) formation_state: the odometry with the velocity that the UAV commands
-    )
+    reported: Array  # (T, N, 13) formation_state: odometry, the velocity is what the UAV commands
     truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
 
 

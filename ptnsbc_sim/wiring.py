@@ -34,9 +34,7 @@ class Wiring(NamedTuple):
     pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
     neighbour_count: NDArray[np.int64]  # (N,)
-    obstacles: (
-        Array  # (S, O, 20) rows of bodies at every reading of the sensor; S = 1 where none moves
-    )
+    obstacles: Array  # (S, O, 20) bodies at every reading of the sensor; S = 1 where none moves
     keep_outs: Array  # (N,) [m]
     range_m: float
     near_every: int

@@ -80,14 +80,11 @@ class World:
         self._plugins = WorldPlugins(scenario)
         self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
-            self._begin_disturbances(plants)
-
-    def _begin_disturbances(self, plants: list[PlantConfig]) -> None:
-        self._odometry = self._truth.copy()
-        for row, (uav_id, plant) in enumerate(zip(self.ids, plants, strict=True)):
-            around = VehicleDisturbances(self._scenario, uav_id, plant.wind)
-            self._odometry[row] = around.measured_odometry(0, self._truth[row])
-            self._around.append(around)
+            self._odometry = self._truth.copy()
+            for row, (uav_id, plant) in enumerate(zip(self.ids, plants, strict=True)):
+                around = VehicleDisturbances(scenario, uav_id, plant.wind)
+                self._odometry[row] = around.measured_odometry(0, self._truth[row])
+                self._around.append(around)
 
     def begin_mission(self, tick: int) -> None:
         """The mission begins at this tick, from which faults are counted; it begins at 0 unless this is called."""

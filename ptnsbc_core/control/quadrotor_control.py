@@ -1,14 +1,15 @@
 """The controller for a vehicle with one thrust along body z: the force part becomes thrust and attitude.
 
-The law of (49) gives a world-frame force; its direction within the tilt limit, with the heading kept, is
-the desired attitude; a geometric attitude error asks for body rates; the same law with tf3 closes the
-body-rate loop (docs/method.md).
+    f = m_hat (a_r + g e_z) + m_0 (-G v~ - delta_hat sat(v~ / width) - d_hat),  T = |f| within the tilt limit
+    R_d: body z along f, the heading kept;  w_r = gains log(R^T R_d), as far as the torques can brake
+    tau = -(I_hat w) x w_r + I_0 (-G w~ - delta_hat sat(w~ / width)),  w~ = w - w_r
+
+v~ = v - v_r is in the world frame, w~ in the body frame. Force part and rate loop are those of (49), docs/method.md.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from ptnsbc_core.algebra import (
     add3,
@@ -137,22 +138,6 @@ def rate_reference(error: Vector3, max_rate: float, config: ControllerConfig) ->
     )
 
 
-class _Thrust(NamedTuple):
-    """Thrust of one tick and the force that it gives at the desired attitude."""
-
-    force: Vector3  # [N, ENU] within the tilt limit
-    thrust: float  # [N]
-    saturated: bool
-
-
-@inline_kernel
-def _thrust(desired: Vector3, config: ControllerConfig) -> _Thrust:
-    force = limit_tilt(desired, config)
-    length = norm3(force)
-    saturated = norm3(sub3(desired, force)) > 0.0 or length > config.max_thrust
-    return _Thrust(force, min(length, config.max_thrust), saturated)
-
-
 @kernel
 def quadrotor_control(
     own: OdometryLike,
@@ -172,19 +157,22 @@ def quadrotor_control(
     model = add3(command.acceleration, (0.0, 0.0, config.gravity))
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
     correction = scale3(nominal.mass, sub3(feedback, observer.disturbance))
-    lift = _thrust(add3(scale3(parameters.mass, model), correction), config)
+    desired = add3(scale3(parameters.mass, model), correction)
+    force = limit_tilt(desired, config)
+    thrust = min(norm3(force), config.max_thrust)
+    cut = norm3(sub3(desired, force)) > 0.0 or norm3(force) > config.max_thrust
     # the acceleration that this command gives, along the present thrust axis
     up = (attitude[0][2], attitude[1][2], attitude[2][2])
-    acceleration = div3(scale3(lift.thrust, up), parameters.mass)
+    acceleration = div3(scale3(thrust, up), parameters.mass)
     acceleration = sub3(acceleration, (0.0, 0.0, config.gravity))
-    rotation_error = attitude_error(attitude, desired_rotation(lift.force, command.yaw))
+    rotation_error = attitude_error(attitude, desired_rotation(force, command.yaw))
     reference = rate_reference(rotation_error, max_rate, config)
     rate_error = sub3(rates, reference)
     zero = (0.0, 0.0, 0.0)
     rate_feedback = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
     rate_model = torque_model(rates, reference, zero, parameters.inertia)
     torque = saturate_torque(add3(rate_model, hadamard3(nominal.inertia, rate_feedback)), config)
-    saturated = lift.saturated or torque.saturated
+    saturated = cut or torque.saturated
     product = InertialParameters(
         dot3(model, error), torque_regressor_error(rates, reference, zero, rate_error)
     )
@@ -193,4 +181,4 @@ def quadrotor_control(
         observer.velocity, observer.disturbance, acceleration, observer.trend
     )
     after = adaptation_step(before, predicted, product, errors, saturated, clock.dt, config)
-    return ControlInput((0.0, 0.0, lift.thrust), torque.value, after, saturated, norm3(error))
+    return ControlInput((0.0, 0.0, thrust), torque.value, after, saturated, norm3(error))

@@ -155,11 +155,7 @@ def adapt_parameters(
 ) -> InertialParameters:
     """Psi_hat after one step of Psi_dot = -Gamma^-1 Y^T V~, (50), kept within mass_range of nominal.
 
-    Args:
-        parameters: before the step.
-        product: Y^T V~ of each parameter.
-        dt: step [s].
-        config: gains and nominal values.
+    `product` is Y^T V~ of each parameter.
     """
     nominal, fraction = config.nominal, config.mass_range
     linear, angular = config.adaptation
@@ -178,14 +174,9 @@ def adapt_parameters(
 def adapt_bound(
     bound: float, error_norm: float, axis: int, dt: float, config: ControllerConfig
 ) -> float:
-    """delta_hat after one step of (51) with dead zone, leak and cap; as printed it grows for ever.
+    """delta_hat [m/s^2] or [rad/s^2] of force (axis 0) or torque (1) after one step of (51).
 
-    Args:
-        bound: delta_hat [m/s^2] or [rad/s^2].
-        error_norm: |V~|_1 of the part [m/s] or [rad/s].
-        axis: 0 force, 1 torque.
-        dt: step [s].
-        config: rates and limits.
+    delta_dot = Upsilon^-1 |V~|_1 - leak delta, with a dead zone of |V~|_1 and a cap; as printed it grows for ever.
     """
     growth = 0.0
     if error_norm > config.bound_dead_zone[axis]:
@@ -232,7 +223,9 @@ def observer_step(
     dt: float,
     config: ControllerConfig,
 ) -> DisturbanceObserver:
-    """Disturbance observer after one measurement of the velocity [m/s, ENU].
+    """Disturbance observer after one measurement of the velocity v [m/s, ENU], with e = v - v_hat and the pole p.
+
+    v_hat_dot = a + d + 3 p e,  d_dot = w + 3 p^2 e,  w_dot = p^3 e        (a: the acceleration by the model)
 
     Not in the paper. The thrust of a quadrotor follows the attitude, so the loop cannot have the gain that keeps
     delta_hat sat() small in (49). The observer compares the measured velocity with the effect that the last

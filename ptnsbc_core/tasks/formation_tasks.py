@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,8 +37,8 @@ class TaskGeometry(NamedTuple):
     periodic: Vector3  # 1 where the row is an angle, whose error is wrapped
 
 
-class FormationTask:
-    """A formation task.
+class FormationTask(Protocol):
+    """The contract of a formation task.
 
     Attributes:
         angles: Rows of sigma that are angles at the horizontal arm to the parent: times the arm they are metres.
@@ -49,7 +49,7 @@ class FormationTask:
     @staticmethod
     def evaluate(own: Vector3Like, parent: Vector3Like, reference: Vector3Like) -> TaskGeometry:
         """Value and Jacobians at positions (3,) [m, ENU]."""
-        raise NotImplementedError
+        ...
 
 
 class SignedAngle(NamedTuple):
@@ -82,7 +82,7 @@ def signed_angle(a: Vector2, b: Vector2) -> SignedAngle:
     return SignedAngle(angle, (a[1] / soft_a, -a[0] / soft_a), (-b[1] / soft_b, b[0] / soft_b))
 
 
-class DistanceAngles(FormationTask):
+class DistanceAngles:
     """Task `distance_angles`, (23): distance to the parent, angles parent-own-reference in XOY and XOZ.
 
     sigma = [|p_i - p_j|, angle from p_j - p_i to p_k - p_i in XOY, the same in XOZ]; world ENU, metres and radians,
@@ -113,7 +113,7 @@ class DistanceAngles(FormationTask):
         )
 
 
-class ParentAngle(FormationTask):
+class ParentAngle:
     """Task `parent_angle`: distance to the parent, angle at the parent, height above the parent.
 
     sigma = [|p_i - p_j|, angle from p_k - p_j to p_i - p_j in XOY, z_i - z_j]; world ENU, metres and radians. The
@@ -142,7 +142,7 @@ class ParentAngle(FormationTask):
         )
 
 
-class RelativePosition(FormationTask):
+class RelativePosition:
     """Task `relative_position`: sigma = p_i - p_j [m, ENU], J = I. Never singular: the robust reference."""
 
     angles = (False, False, False)

@@ -10,20 +10,24 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
-from ptnsbc_sim.disturbances import gusts as wind
-from ptnsbc_sim.disturbances import position_noise as position
-from ptnsbc_sim.disturbances import random_streams, sensor_noise
+from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.disturbances.faults import add_jumps, gone, jumps_of
-from ptnsbc_sim.disturbances.gusts import Gusts, gust_step, gusts
 from ptnsbc_sim.disturbances.links import last_received
-from ptnsbc_sim.disturbances.position_noise import (
+from ptnsbc_sim.disturbances.noise import (
     EXACT,
+    GUST_SAMPLES,
+    POSITION_SAMPLES,
+    SENSOR_SAMPLES,
+    Gusts,
     PositionNoise,
+    SensorNoise,
+    add_sensor_noise,
+    gust_step,
+    gusts,
     initial_error,
     measured_odometry,
     position_noise,
 )
-from ptnsbc_sim.disturbances.sensor_noise import SensorNoise, add_sensor_noise
 from ptnsbc_sim.scenario import Scenario
 
 
@@ -44,26 +48,19 @@ def position_noise_of(scenario: Scenario) -> PositionNoise:
 
 def gusts_of(scenario: Scenario) -> Gusts:
     """The wind around every UAV."""
-    world = scenario.world
-    deviation = np.array(world.gust_m_s, dtype=np.float64)
-    return gusts(
-        np.array(world.wind_m_s, dtype=np.float64),
-        deviation,
-        float(world.gust_time_s),
-        seconds(scenario.timing.dt_ns),
-    )
+    world, dt = scenario.world, seconds(scenario.timing.dt_ns)
+    mean = np.array(world.wind_m_s, dtype=np.float64)
+    return gusts(mean, np.array(world.gust_m_s), float(world.gust_time_s), dt)
 
 
 def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
     """Standard normal numbers (6 objects,) for the near-object sensor of one UAV at a tick."""
-    address = (scenario.seed, random_streams.SENSOR, uav_id)
-    return random_streams.normal(
-        address, tick // scenario.near_every, _sensor_sample_count(scenario)
-    )
+    address, reading = (scenario.seed, random_streams.SENSOR, uav_id), tick // scenario.near_every
+    return random_streams.normal(address, reading, _sensor_sample_count(scenario))
 
 
 def _sensor_sample_count(scenario: Scenario) -> int:
-    return sensor_noise.SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.world.bodies))
+    return SENSOR_SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.world.bodies))
 
 
 def sensor_noise_of(scenario: Scenario) -> SensorNoise:
@@ -103,11 +100,11 @@ def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | N
     return Disturbances(
         kind,
         gusts_of(scenario),
-        table(random_streams.POSITION, position.SAMPLES),
-        table(random_streams.GUST, wind.SAMPLES),
+        table(random_streams.POSITION, POSITION_SAMPLES),
+        table(random_streams.GUST, GUST_SAMPLES),
         last_received(scenario, neighbours),
         np.stack([initial_error(kind)] * len(ids)),
-        np.zeros((len(ids), wind.SAMPLES)),
+        np.zeros((len(ids), GUST_SAMPLES)),
         table(random_streams.SENSOR, _sensor_sample_count(scenario), scenario.near_every),
         sensor_noise_of(scenario),
         jumps_of(scenario),
@@ -127,7 +124,7 @@ class VehicleDisturbances:
         self._gust_address = (scenario.seed, random_streams.GUST, uav_id)
         self._dt = seconds(scenario.timing.dt_ns)
         self._wind = wind_m_s
-        self._gust = np.zeros(wind.SAMPLES)
+        self._gust = np.zeros(GUST_SAMPLES)
         self._error = initial_error(self._position_noise)
         self._row = scenario.uav_ids.index(uav_id)
         self._jumps = jumps_of(scenario)
@@ -137,16 +134,14 @@ class VehicleDisturbances:
 
     def gust_step(self, tick: int) -> None:
         """Set the wind of the control period that begins at `tick`."""
-        samples = random_streams.normal(self._gust_address, tick, wind.SAMPLES)
+        samples = random_streams.normal(self._gust_address, tick, GUST_SAMPLES)
         gust_step(self._gust, self._wind, samples, tick, self._gusts)
 
     def measured_odometry(self, tick: int, truth: Array) -> Array:
         """Measured odometry vector (13,) at `tick`; call it once per tick, in order."""
         self._past.append(truth[0:3].copy())
-        samples, kind = (
-            random_streams.normal(self._position_address, tick, position.SAMPLES),
-            self._position_noise,
-        )
+        kind = self._position_noise
+        samples = random_streams.normal(self._position_address, tick, POSITION_SAMPLES)
         compensated = self._past[max(len(self._past) - 1 - kind.compensated, 0)]
         measured = measured_odometry(
             truth, self._past[0], compensated, self._error, samples, tick, self._dt, kind

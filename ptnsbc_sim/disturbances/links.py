@@ -117,12 +117,8 @@ def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
     Columns: from the parent, from the leader, from the neighbours in the estimator graph, and from each of several
     parents, where a UAV has some.
     """
-    ids = scenario.uav_ids
-    columns = 2 + width + scenario.communication.most_parents
-    table = np.full((scenario.timing.ticks, len(ids), columns), -1, dtype=np.int64)
-    for row, uav in enumerate(ids):
-        table[:, row] = last_received_by(scenario, uav, width)
-    return table
+    rows = [last_received_by(scenario, uav, width) for uav in scenario.uav_ids]
+    return np.stack(rows, axis=1)
 
 
 def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int64]:

@@ -7,9 +7,11 @@ State (17,): position [m, ENU] 0:3, quaternion x y z w 3:7, velocity [m/s, ENU] 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
-from ptnsbc_core.algebra import add3, axpy, load3, matvec_transposed, store3
+from ptnsbc_core.algebra import load3, matvec_transposed, store3
 from ptnsbc_core.kernel import formula, inline_kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.types import Array, Vector3
@@ -90,36 +92,23 @@ def derivative(
     )
 
 
+def _each(law: Callable[[Any, Any], Any], x: Any, y: Any) -> Any:
+    """What has `law` of the numbers of x and y in the place of each number of x."""
+    if not isinstance(x, tuple):
+        return law(x, y)
+    parts = [_each(law, a, b) for a, b in zip(x, y, strict=True)]
+    return QuadrotorState(*parts) if isinstance(x, QuadrotorState) else tuple(parts)
+
+
 @formula
-def ahead(x: QuadrotorState, factor: float, slope: QuadrotorState) -> QuadrotorState:
+def _ahead(x: QuadrotorState, factor: float, slope: QuadrotorState) -> QuadrotorState:
     """x + factor slope."""
-    q, dq = x.quaternion, slope.quaternion
-    return QuadrotorState(
-        axpy(factor, slope.position, x.position),
-        (
-            q[0] + factor * dq[0],
-            q[1] + factor * dq[1],
-            q[2] + factor * dq[2],
-            q[3] + factor * dq[3],
-        ),
-        axpy(factor, slope.velocity, x.velocity),
-        axpy(factor, slope.rates, x.rates),
-        x.thrust + factor * slope.thrust,
-        axpy(factor, slope.torque, x.torque),
-    )
+    return cast(QuadrotorState, _each(lambda a, b: a + factor * b, x, slope))
 
 
 @formula
 def _sum(a: QuadrotorState, b: QuadrotorState) -> QuadrotorState:
-    q, r = a.quaternion, b.quaternion
-    return QuadrotorState(
-        add3(a.position, b.position),
-        (q[0] + r[0], q[1] + r[1], q[2] + r[2], q[3] + r[3]),
-        add3(a.velocity, b.velocity),
-        add3(a.rates, b.rates),
-        a.thrust + b.thrust,
-        add3(a.torque, b.torque),
-    )
+    return cast(QuadrotorState, _each(operator.add, a, b))
 
 
 @formula
@@ -153,12 +142,12 @@ def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines
     for n in range(sines.shape[0] // 2):
         middle, end = disturbance(config, sines, 2 * n + 1), disturbance(config, sines, 2 * n + 2)
         first = derivative(x, thrust, torque, config, now)
-        second = derivative(ahead(x, half, first), thrust, torque, config, middle)
-        third = derivative(ahead(x, half, second), thrust, torque, config, middle)
-        fourth = derivative(ahead(x, step_s, third), thrust, torque, config, end)
+        second = derivative(_ahead(x, half, first), thrust, torque, config, middle)
+        third = derivative(_ahead(x, half, second), thrust, torque, config, middle)
+        fourth = derivative(_ahead(x, step_s, third), thrust, torque, config, end)
         both = _sum(second, third)
         slope = _sum(_sum(first, _sum(both, both)), fourth)
-        x = _normalised(ahead(x, step_s / 6.0, slope))
+        x = _normalised(_ahead(x, step_s / 6.0, slope))
         now = end
     store_state(out, x)
 

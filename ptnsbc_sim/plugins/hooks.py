@@ -16,7 +16,7 @@ pure function of its inputs: it must not remember anything, and its random numbe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,66 +106,47 @@ class Hook(NamedTuple):
     size: int  # how many numbers it gives; 0: rows, any number of them
 
 
-_ZERO: Vector3 = (0.0, 0.0, 0.0)
+def _example(inputs: Callable[..., Any], **shapes: int | tuple[int, int]) -> tuple[Any]:
+    """Inputs of the types of all calls; an array whose shape is not given has three numbers."""
+    example: list[Any] = []
+    for name, hint in inputs.__annotations__.items():
+        if "Array" in hint:
+            kind = np.int64 if "int64" in hint else np.float64
+            example.append(np.ones(shapes.get(name, 3), dtype=kind))
+        else:
+            example.append({"float": 1.0, "int": 1}[hint])
+    return (inputs(*example),)
 
 
-def _zeros(*shape: int) -> Array:
-    return np.zeros(shape)
-
-
-_LAW = LawInputs(
-    0.0,
-    _zeros(3),
-    _zeros(3),
-    _zeros(3),
-    np.zeros(1, dtype=np.int64),
-    _zeros(1, 3),
-    _zeros(1, 3),
-    _zeros(1, 3),
-    _zeros(1),
-    _zeros(1, NEAR_COLUMNS),
-    1.0,
-    1.0,
+_POINT: Vector3 = (0.0, 0.0, 0.0)
+_ROWS, _NEAR = (1, 3), (1, NEAR_COLUMNS)
+_LAW = _example(
+    LawInputs, ids=1, positions=_ROWS, velocities=_ROWS, offsets=_ROWS, ages_s=1, near=_NEAR
 )
-_CONTROLLER = ControllerInputs(
-    0.0, 0.01, _zeros(ODOMETRY_SIZE), _zeros(3), 0.0, _zeros(6), 1.0, _zeros(3), 9.81
-)
-_PLANT = PlantInputs(
-    0.0,
-    _zeros(STATE_SIZE),
-    _zeros(6),
-    _zeros(6),
-    _zeros(3),
-    1.0,
-    np.ones(3),
-    9.81,
-    1.0,
-    np.ones(3),
-    0.1,
-    0.0,
-)
-_DISTURBANCE = DisturbanceInputs(0.0, 1, _zeros(ODOMETRY_SIZE), _zeros(SAMPLES))
-_SENSOR = SensorInputs(0.0, 1, _zeros(ODOMETRY_SIZE), _zeros(1, NEAR_COLUMNS), 1.0, _zeros(SAMPLES))
+_CONTROLLER = _example(ControllerInputs, odometry=ODOMETRY_SIZE, wrench=6)
+_PLANT = _example(PlantInputs, state=STATE_SIZE, wrench=6, push=6)
+_DISTURBANCE = _example(DisturbanceInputs, odometry=ODOMETRY_SIZE, samples=SAMPLES)
+_SENSOR = _example(SensorInputs, odometry=ODOMETRY_SIZE, objects=_NEAR, samples=SAMPLES)
 
 HOOKS = {
     hook.name: hook
     for hook in (
-        Hook("law", (_LAW,), "a velocity of three numbers [m/s, ENU]", 3),
-        Hook("task", (_ZERO, _ZERO, _ZERO), "three numbers, the value of the task", 3),
+        Hook("law", _LAW, "a velocity of three numbers [m/s, ENU]", 3),
+        Hook("task", (_POINT, _POINT, _POINT), "three numbers, the value of the task", 3),
         Hook(
             "controller",
-            (_CONTROLLER,),
+            _CONTROLLER,
             "force [N] and torque [N m], six numbers in the body frame (FLU)",
             6,
         ),
-        Hook("plant", (_PLANT,), "17 numbers, d state / dt", STATE_SIZE),
+        Hook("plant", _PLANT, "17 numbers, d state / dt", STATE_SIZE),
         Hook(
             "disturbance",
-            (_DISTURBANCE,),
+            _DISTURBANCE,
             "six numbers: acceleration [m/s^2, ENU] and angular acceleration [rad/s^2, body]",
             6,
         ),
-        Hook("sensor", (_SENSOR,), "rows of 7 finite numbers", 0),
+        Hook("sensor", _SENSOR, "rows of 7 finite numbers", 0),
     )
 }
 """All hooks that are called in flight, by their names in a scenario."""

@@ -14,7 +14,7 @@ from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.links import last_state_received
-from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
+from ptnsbc_sim.disturbances.noise import add_sensor_noise
 from ptnsbc_sim.plugins.formation_task import PluginTask
 from ptnsbc_sim.plugins.uav_plugins import Heard, UavLaw, UavPlugins
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
@@ -24,7 +24,6 @@ from ptnsbc_sim.tick import (
     advance_all,
     blown,
     computes,
-    dead,
     inputs_of,
     sense,
     since_epoch,
@@ -142,7 +141,7 @@ class PluginLoop:
     ) -> None:
         dt = seconds(self._scenario.timing.dt_ns)
         for row, (plugins, config) in enumerate(zip(self._uavs, self._configs, strict=True)):
-            if disturbances is None or not dead(tick, row, disturbances):
+            if disturbances is None or not disturbances.gone[tick, row]:
                 odometry, command = track.odometry[tick, row], track.velocity[tick, row]
                 ours = track.wrench[tick, row]
                 track.wrench[tick, row] = plugins.wrench(t, dt, odometry, command, ours, config)

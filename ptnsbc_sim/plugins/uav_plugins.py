@@ -40,13 +40,10 @@ class UavLaw:
         self._max_speed = float(scenario.max_speed_m_s(uav))
 
     def velocity(self, t: float, own: Array, heard: Iterable[Heard], near: Array) -> Vector3:
-        """The velocity [m/s, ENU] at one tick; zero while nothing has been heard.
+        """The velocity [m/s, ENU] `t` [s] after the epoch; zero while nothing has been heard.
 
-        Args:
-            t: time since the epoch [s].
-            own: odometry vector (13,).
-            heard: the newest states of `senders`, ascending; without those of whom nothing came.
-            near: (M, 7), as in LawInputs.
+        `own` is the odometry vector (13,); `heard` has the newest states of the `senders` of whom something came,
+        ascending; `near` (M, 7) is as in LawInputs.
 
         Raises:
             PluginError: the law raised an error, or did not return three finite numbers.
@@ -103,15 +100,9 @@ class UavPlugins(NamedTuple):
         ours: Array,
         config: AgentConfig,
     ) -> Array | tuple[float, ...]:
-        """Force [N] and torque [N m], body FLU: by the controller, or `ours` without one.
+        """Force [N] and torque [N m], body FLU: by the controller, or `ours` (6,) without one.
 
-        Args:
-            t: time since the epoch [s].
-            dt: control period [s].
-            odometry: odometry vector (13,) of the vehicle.
-            command: velocity setpoint (4,) [m/s, ENU], [rad/s].
-            ours: (6,) what our controller commands.
-            config: constants of the UAV.
+        `t` [s] counts from the epoch, `dt` [s] is the control period, `command` (4,) the setpoint [m/s, ENU], [rad/s].
 
         Raises:
             PluginError: the function raised an error, or did not return six finite numbers.

@@ -56,11 +56,7 @@ class WorldPlugins:
     def disturbed(self, uav: int, tick: int, truth: Array, plant: PlantConfig) -> PlantConfig:
         """The plant with the disturbance of the control period that begins at `tick`; it replaces the one before.
 
-        Args:
-            uav: id.
-            tick: control periods since the start of the simulated world.
-            truth: true odometry vector (13,) at the tick.
-            plant: the constants of the vehicle.
+        `tick` counts the control periods of the simulated world; `truth` (13,) is the true odometry vector at it.
 
         Raises:
             PluginError: the function raised an error, or did not return six finite numbers.
@@ -120,12 +116,7 @@ class WorldPlugins:
 
         They are rounded to float32.
 
-        Args:
-            row: of the observer.
-            tick: of the reading.
-            truth: true odometry vectors (N, 13) of all UAVs.
-            obstacles: (O, 20) rows of bodies.
-            keep_outs: (N,) keep-outs of the UAVs [m].
+        `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N,) are as in `near_objects`.
 
         Raises:
             PluginError: the function raised an error, or gave no such rows.

@@ -1,9 +1,10 @@
-"""Position noise: the navigation filter of a UAV, which fuses rare, noisy, late satellite fixes with inertial data.
+"""Noise of what a UAV senses, and of the wind around it: position, near objects, gusts.
 
-A steady-state Kalman filter (the alpha-beta filter of Kalata 1984) predicts position and velocity with the
-accelerometer and corrects both at each fix. A fix is compared with the estimate for the time of its measurement, as
-far as the latency is compensated, and the correction is carried to the present. The filter is linear, so its error
-has dynamics of its own, independent of the vehicle's motion:
+Position: the navigation filter of a UAV fuses rare, noisy, late satellite fixes with inertial data. A steady-state
+Kalman filter (the alpha-beta filter of Kalata 1984) predicts position and velocity with the accelerometer and corrects
+both at each fix. A fix is compared with the estimate for the time of its measurement, as far as the latency is
+compensated, and the correction is carried to the present. The filter is linear, so its error has dynamics of its own,
+independent of the vehicle's motion:
 
     e: error now;  h: error `compensated` ago, with all fixes received until now
     between fixes:  e_p += e_v dt + a dt^2 / 2,  e_v += a dt;  h the same with the a of then
@@ -14,6 +15,10 @@ has dynamics of its own, independent of the vehicle's motion:
 The UAV measures p + e_p and v + e_v. a is the accelerometer's error, new whenever a fix is measured. A latency that
 is not compensated makes the position lag by velocity times that latency. Attitude and body rates are inertial and
 exact here.
+
+Gusts: coloured noise around the mean wind, independent for each UAV. First order with a correlation time, stationary
+from the start: the longitudinal form of Dryden's model, on all three axes. Independent gusts are the hard case for a
+formation: a common gust would move all UAVs alike.
 """
 
 from __future__ import annotations
@@ -24,11 +29,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.kinematics import rotation_from_quaternion
+from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.types import Array
 
-SAMPLES = 6
+POSITION_SAMPLES = 6
 """Random numbers per tick: noise of the fix and error of the accelerometer."""
+
+SENSOR_SAMPLES = 6
+"""Random numbers per object: noise of its position and of its velocity."""
+
+GUST_SAMPLES = 3
+"""Random numbers per tick."""
 
 _NOW, _DELAYED, _ACCELERATION = 0, 6, 12
 
@@ -169,3 +180,64 @@ def measured_odometry(
         for j in range(3):
             out[7 + i] += rotation[j, i] * error[_NOW + 3 + j]
     return out
+
+
+class SensorNoise(NamedTuple):
+    """Standard deviations of the near-object sensor, per axis."""
+
+    noise_m: float
+    velocity_noise_m_s: float
+
+
+@kernel
+def add_sensor_noise(
+    near: Array, truth: Array, measured: Array, samples: Array, kind: SensorNoise
+) -> Array:
+    """Near objects (M, 7) as a UAV measures them.
+
+    The sensor measures relative position and velocity. Converted to the world frame they contain the errors of
+    the UAV's own position and velocity. Rounded to float32 like all data of the sensor.
+
+    Args:
+        near: (M, 7) the true near objects.
+        truth: (13,) the UAV's true odometry vector.
+        measured: (13,) its measured odometry vector.
+        samples: (6 M,) standard normal numbers, or more.
+        kind: the sensor.
+    """
+    out = near.copy()
+    true_velocity, measured_velocity = velocity_enu(truth), velocity_enu(measured)
+    for row in range(out.shape[0]):
+        for i in range(3):
+            noise = kind.noise_m * samples[6 * row + i]
+            out[row, i] = np.float32(out[row, i] + (measured[i] - truth[i]) + noise)
+            noise = kind.velocity_noise_m_s * samples[6 * row + 3 + i]
+            velocity = out[row, 4 + i] + (measured_velocity[i] - true_velocity[i]) + noise
+            out[row, 4 + i] = np.float32(velocity)
+    return out
+
+
+class Gusts(NamedTuple):
+    """Constants of the wind."""
+
+    mean: Array  # (3,) [m/s, ENU]
+    deviation: Array  # (3,) [m/s]
+    decay: float  # factor of a gust from one control period to the next
+    innovation: float  # factor of the deviation for the new noise
+
+
+def gusts(mean: Array, deviation: Array, time_s: float, dt: float) -> Gusts:
+    """Wind of mean (3,) and standard deviation (3,) [m/s], correlated over `time_s`, in steps of dt [s]."""
+    decay = math.exp(-dt / time_s)
+    return Gusts(mean, np.asarray(deviation, np.float64), decay, math.sqrt(1.0 - decay * decay))
+
+
+@kernel
+def gust_step(gust: Array, wind: Array, samples: Array, tick: int, kind: Gusts) -> None:
+    """Gust (3,) and wind (3,) [m/s, ENU] of the control period that begins at `tick`, both in place."""
+    for i in range(3):
+        if tick == 0:
+            gust[i] = kind.deviation[i] * samples[i]
+        else:
+            gust[i] = kind.decay * gust[i] + kind.innovation * kind.deviation[i] * samples[i]
+        wind[i] = kind.mean[i] + gust[i]

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
-from ptnsbc_sim.disturbances.position_noise import (
+from ptnsbc_sim.disturbances.noise import (
     EXACT,
     PositionNoise,
+    SensorNoise,
+    add_sensor_noise,
+    gust_step,
+    gusts,
     initial_error,
     measured_odometry,
     position_noise,
@@ -150,3 +154,72 @@ def test_spread_is_that_of_the_steady_kalman_filter_carried_to_the_present() -> 
     draws = np.random.default_rng(6).standard_normal((ticks, 6))
     found = told(standing(ticks), kind_of(5, 5), draws)[1000 :: HZ // RATE, 0:3].std()
     assert found == pytest.approx(position_std_m(kind_of(5, 5), DT), rel=0.04)
+
+
+NEAR = np.array([[1.0, 2.0, 3.0, 0.5, 0.125, 0.25, 0.375]])
+STILL = np.zeros(6)
+
+
+def vehicle(position: tuple[float, ...], velocity: tuple[float, ...]) -> np.ndarray:
+    out = np.zeros(13)
+    out[0:3], out[7:10] = position, velocity
+    out[3:7] = quaternion_from_euler(np.array([0.2, -0.1, 1.0]))
+    return out
+
+
+def test_distance_and_motion_against_the_uav_stay_true() -> None:
+    truth, seen = vehicle((0, 0, 0), (1, 0, 0)), vehicle((0.03, -0.02, 0.01), (1.1, -0.05, 0.02))
+    moved = add_sensor_noise(NEAR, truth, seen, STILL, SensorNoise(0.0, 0.0))
+    np.testing.assert_allclose(moved[0, :3] - seen[:3], NEAR[0, :3] - truth[:3], atol=1e-6)
+    np.testing.assert_allclose(
+        moved[0, 4:] - velocity_enu(seen), NEAR[0, 4:] - velocity_enu(truth), atol=1e-6
+    )
+    assert moved[0, 3] == NEAR[0, 3]
+    np.testing.assert_array_equal(moved, moved.astype(np.float32))
+    assert (
+        add_sensor_noise(NEAR, truth, truth, STILL, SensorNoise(0.0, 0.0)).tobytes()
+        == NEAR.tobytes()
+    )
+
+
+def test_noise_is_as_wide_as_asked_for_and_its_own_for_every_object() -> None:
+    truth, near = vehicle((0, 0, 0), (0, 0, 0)), np.repeat(NEAR, 4000, axis=0)
+    draws = np.random.default_rng(4).standard_normal(6 * len(near))
+    off = add_sensor_noise(near, truth, truth, draws, SensorNoise(0.01, 0.03)) - near
+    assert off[:, :3].std() == pytest.approx(0.01, rel=0.03)
+    assert off[:, 4:].std() == pytest.approx(0.03, rel=0.03)
+    assert (off[:, 3] == 0.0).all()
+    assert np.corrcoef(off[:-1, 0], off[1:, 0])[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+TIME = 2.0
+
+
+def wind(ticks: int, seed: int = 1) -> np.ndarray:
+    kind = gusts(np.array([1.6, 1.2, 0.0]), np.array([0.7, 0.7, 0.0]), TIME, DT)
+    draws = np.random.default_rng(seed).standard_normal((ticks, 3))
+    gust, out = np.zeros(3), np.empty((ticks, 3))
+    for tick in range(ticks):
+        gust_step(gust, out[tick], draws[tick], tick, kind)
+    return out
+
+
+def test_mean_deviation_and_correlation() -> None:
+    found = wind(200_000)
+    np.testing.assert_allclose(found.mean(axis=0), [1.6, 1.2, 0.0], atol=0.15)
+    np.testing.assert_allclose(found.std(axis=0), [0.7, 0.7, 0.0], rtol=0.1)
+    off = found[:, 0] - found[:, 0].mean()
+    later = round(TIME / DT)
+    assert np.mean(off[later:] * off[:-later]) / off.var() == pytest.approx(np.exp(-1), abs=0.1)
+
+
+def test_stationary_from_the_first_tick() -> None:
+    first = np.array([wind(1, seed)[0, 0] for seed in range(400)])
+    assert first.std() == pytest.approx(0.7, rel=0.15)
+
+
+def test_none_is_the_mean_to_the_last_bit() -> None:
+    mean = np.array([2.0, -0.3, 0.1])
+    out = np.empty(3)
+    gust_step(np.zeros(3), out, np.ones(3), 0, gusts(mean, np.zeros(3), TIME, DT))
+    assert out.tobytes() == mean.tobytes()
