@@ -17,7 +17,7 @@ pure function of its inputs: it must not remember anything, and its random numbe
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,12 +109,12 @@ class Hook(NamedTuple):
 def _example(inputs: Callable[..., Any], **shapes: int | tuple[int, int]) -> tuple[Any]:
     """Inputs of the types of all calls; an array whose shape is not given has three numbers."""
     example: list[Any] = []
-    for name, hint in inputs.__annotations__.items():
-        if "Array" in hint:
-            kind = np.int64 if "int64" in hint else np.float64
-            example.append(np.ones(shapes.get(name, 3), dtype=kind))
+    for name, hint in get_type_hints(inputs).items():
+        if hint in (float, int):
+            example.append(hint(1))
         else:
-            example.append({"float": 1.0, "int": 1}[hint])
+            kind = np.int64 if "int64" in str(hint) else np.float64
+            example.append(np.ones(shapes.get(name, 3), dtype=kind))
     return (inputs(*example),)
 
 
