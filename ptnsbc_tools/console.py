@@ -171,15 +171,12 @@ def say_once(line: str) -> None:
     say(line)
 
 
-def watched() -> bool:
-    """True if somebody looks: in a terminal, and in a notebook."""
-    return sys.stderr.isatty() or "ipykernel" in sys.modules
-
-
 @contextmanager
 def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
     """Progress on stderr: a bar on a terminal, else a line every few seconds; None: only where somebody looks."""
-    if not (watched() if wanted is None else wanted):
+    if wanted is None:
+        wanted = sys.stderr.isatty() or "ipykernel" in sys.modules
+    if not wanted:
         yield lambda done, total: None
         return
     if not sys.stderr.isatty():

@@ -1,11 +1,13 @@
-"""The ROS environment of a command: network profile, domain, and the packages that it needs."""
+"""The packages that a command or a function needs and may lack, and the ROS environment: network profile and domain."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 
@@ -14,6 +16,20 @@ INSTALL = "install the extra [ros] or source ROS 2"
 
 class RosMissingError(PtnsbcError):
     """A package that a command needs is not installed."""
+
+
+class LibraryMissingError(PtnsbcError):
+    """A library that a function needs is not installed."""
+
+
+def library(name: str, what: str, extra: str = "tables") -> Any:
+    """The module of a library that `what` needs and our `extra` brings; LibraryMissingError when it is missing."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise LibraryMissingError(
+            f'{what}: {name} is not installed: pip install "ptnsbc[{extra}]"'
+        ) from None
 
 
 def select_network(network: Path | None, domain: int | None) -> None:

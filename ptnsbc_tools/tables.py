@@ -167,7 +167,7 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
 
 
 def reasons(verdict: Verdict) -> list[Text]:
-    """The injected faults, why UAVs are not met, and what met ones owe to encounters: one line each."""
+    """The injected faults, why UAVs are not met, and the encounters that excuse met ones: one line each."""
     found = [Text(f"injected: {fault}") for fault in verdict.faults]
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "

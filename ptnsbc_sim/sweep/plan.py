@@ -102,11 +102,9 @@ class SweepPlan:
         plain = json.loads(text)
         if plain.pop("format", None) != FORMAT:
             raise SweepError(f"plan of another format: expected format {FORMAT}")
-        plain["axes"] = tuple(
-            SweepAxis(axis["key"], axis["kind"], tuple(axis["values"])) for axis in plain["axes"]
-        )
-        plain["starts"] = Starts(plain["starts"]["kind"], tuple(plain["starts"]["numbers"]))
-        return cls(**plain)
+        axes = (SweepAxis(**{**axis, "values": tuple(axis["values"])}) for axis in plain["axes"])
+        starts = Starts(plain["starts"]["kind"], tuple(plain["starts"]["numbers"]))
+        return cls(**{**plain, "axes": tuple(axes), "starts": starts})
 
 
 def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:

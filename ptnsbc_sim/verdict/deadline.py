@@ -183,7 +183,7 @@ class UavVerdict:
     slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
     verdict: str  # met | missed | violated | void
     reason: str  # why not met, empty when met
-    excuse: str  # what the figures owe to encounters, empty when nothing
+    excuse: str  # the encounters that excuse the figures, empty when none does
     deadline_s: float
     due_s: float  # the deadline, or the end of the encounter that lasts over it
     start_error_m: float

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight
 
 
-_NANO = 1e-9
+NANO = 1e-9
+FORMATION = "form"  # name of the legs that have a deadline
+LANDING = "land"
+
+Epochs = tuple[tuple[int, str], ...]  # t0 [ns] and leg, ascending
 
 
 class Absence(NamedTuple):
@@ -44,7 +48,7 @@ class Absence(NamedTuple):
 
     def text(self, first_ns: int) -> str:
         """In words; times in seconds after the first epoch."""
-        begin, end = ((t_ns - first_ns) * _NANO for t_ns in (self.begin_ns, self.end_ns))
+        begin, end = ((t_ns - first_ns) * NANO for t_ns in (self.begin_ns, self.end_ns))
         if self.for_good:
             return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
         return (
@@ -90,7 +94,7 @@ def absences(
 
 
 def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
-    stale_ns, dt_ns = round(scenario.communication.stale_s / _NANO), scenario.timing.dt_ns
+    stale_ns, dt_ns = round(scenario.communication.stale_s / NANO), scenario.timing.dt_ns
     spans, last = [], first_ns
 
     def silence(heard_ns: int, again_ns: int) -> Absence:
@@ -166,13 +170,6 @@ def by_phase(phases: Sequence[Phase], stamps: NDArray[np.int64]) -> Iterator[tup
     for phase, (first, end) in zip(phases, pairwise([0, *cuts, len(stamps)]), strict=True):
         if first < end:
             yield phase, slice(first, end)
-
-
-NANO = 1e-9
-FORMATION = "form"  # name of the legs that have a deadline
-LANDING = "land"
-
-Epochs = tuple[tuple[int, str], ...]  # t0 [ns] and leg, ascending
 
 
 class VerdictError(PtnsbcError):

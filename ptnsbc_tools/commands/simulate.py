@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,9 +18,6 @@ from ptnsbc_tools.options import (
     argument,
     option,
 )
-
-if TYPE_CHECKING:
-    from ptnsbc_sim.scenario import Scenario
 
 
 def simulate(
@@ -50,7 +47,16 @@ def simulate(
     if sweep is None and draw is None and scenario is not None:
         chosen = choices.of(scenario)
     else:
-        chosen = _drawn(choices, scenario, sweep, draw)
+        from ptnsbc_sim.scenario import scenario_from_text
+        from ptnsbc_sim.sweep import SweepError
+        from ptnsbc_sim.sweep import draw as draw_of
+        from ptnsbc_tools.sweeps.summary import plan_in
+
+        if scenario is not None or sweep is None or draw is None:
+            raise SweepError("expected a SCENARIO, or --sweep DIR and --draw K")
+        chosen, keys = draw_of(plan_in(sweep), draw), choices.keys()
+        if keys:
+            chosen = scenario_from_text(chosen.text, keys, source=chosen.source)
     if picture is not None:
         format_of(picture)  # refused before the flight, not after it
     refuse_without_memory(chosen)  # the check of a flight of ages takes ages
@@ -67,19 +73,3 @@ def simulate(
         flight.save_picture(picture)
     show_verdict(verdict, json=json, bag=bag, picture=picture)
     raise typer.Exit(verdict.exit_code)
-
-
-def _drawn(
-    choices: FlightChoices, scenario: str | None, sweep: Path | None, draw: int | None
-) -> Scenario:
-    """The scenario of a draw, with what the options change."""
-    from ptnsbc_sim.scenario import scenario_from_text
-    from ptnsbc_sim.sweep import SweepError
-    from ptnsbc_sim.sweep import draw as draw_of
-    from ptnsbc_tools.sweeps.summary import plan_in
-
-    if scenario is not None or sweep is None or draw is None:
-        raise SweepError("expected a SCENARIO, or --sweep DIR and --draw K")
-    drawn = draw_of(plan_in(sweep), draw)
-    keys = choices.keys()
-    return scenario_from_text(drawn.text, keys, source=drawn.source) if keys else drawn

@@ -19,7 +19,7 @@ from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
-from ptnsbc_tools.library.optional import required
+from ptnsbc_tools import ros
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView, view_of
 from ptnsbc_tools.plotting.draw import draw_chart, draw_flight, draw_paths
 from ptnsbc_tools.reading.bag_reader import (
@@ -198,7 +198,7 @@ class Flight(FlightArrays):
 
     def to_pandas(self) -> Any:
         """One row for each instant and UAV as a pandas DataFrame; `attrs["units"]` has the units."""
-        pandas = required("pandas", "to_pandas()")
+        pandas = ros.library("pandas", "to_pandas()")
         columns = list(self.columns())
         frame = pandas.DataFrame({name: values for name, _, values in columns})
         units = {name: unit for name, unit, _ in columns}
@@ -207,7 +207,7 @@ class Flight(FlightArrays):
 
     def to_xarray(self) -> Any:
         """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes."""
-        xarray = required("xarray", "to_xarray()")
+        xarray = ros.library("xarray", "to_xarray()")
         arrays = {
             one.name: (one.axes, self[one.name], {"units": one.unit, "long_name": one.meaning})
             for one in QUANTITIES[1:]

@@ -20,10 +20,9 @@ from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.rows import fly_draw, rows_of
 from ptnsbc_sim.sweep.runner import TABLE, columns_of
 from ptnsbc_sim.track import refuse_without_memory
-from ptnsbc_tools import console
+from ptnsbc_tools import console, ros
 from ptnsbc_tools.library.flight import Flight, new_axes
 from ptnsbc_tools.library.flying import ScenarioLike, fly, load
-from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
@@ -84,7 +83,7 @@ class Sweep:
 
     def to_pandas(self) -> Any:
         """One row for each UAV and flight as a pandas DataFrame; `attrs["units"]` has the units."""
-        frame = required("pandas", "to_pandas()").DataFrame(dict(self.columns))
+        frame = ros.library("pandas", "to_pandas()").DataFrame(dict(self.columns))
         frame.attrs = {"units": self.units, "plan": self.plan.name}
         return frame
 
@@ -243,16 +242,15 @@ def compared(a: Sweep | Flight, b: Sweep | Flight) -> tuple[FlightTable, FlightT
     if isinstance(a, Sweep) and isinstance(b, Sweep):
         comparison.same_draws(a.plan, b.plan)
         return a.flown.table, b.flown.table
-    if isinstance(a, Flight) and isinstance(b, Flight):
-        return _row(a), _row(b)
-    raise comparison.ComparisonError("a sweep and a flight: expected two sweeps, or two flights")
-
-
-def _row(flight: Flight) -> FlightTable:
-    recording = flight.recording
-    lacking = [uav for uav in recording.scenario.uav_ids if uav not in recording.counters]
-    if lacking:
+    if not isinstance(a, Flight) or not isinstance(b, Flight):
         raise comparison.ComparisonError(
-            f"{flight.bag or flight.scenario.name}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
+            "a sweep and a flight: expected two sweeps, or two flights"
         )
-    return table_of(rows_of(0, recording.scenario, recording))
+    for flight in (a, b):
+        lacking = [uav for uav in flight.uavs if uav not in flight.recording.counters]
+        if lacking:
+            raise comparison.ComparisonError(
+                f"{flight.bag or flight.scenario.name}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
+            )
+    first, second = (table_of(rows_of(0, of.scenario, of.recording)) for of in (a, b))
+    return first, second

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.library.optional import required
+from ptnsbc_tools import ros
 from ptnsbc_tools.live.server import HOST, LiveServerError
 from ptnsbc_tools.plotting.charts import COLOURS, look
 
@@ -26,9 +26,9 @@ class FoxgloveSink:
 
     def __init__(self, scenario: Scenario, port: int) -> None:
         self._scenario = scenario
-        self._sdk = required("foxglove", "--foxglove", "foxglove")
-        self._kinds = required("foxglove.messages", "--foxglove", "foxglove")
-        channels = required("foxglove.channels", "--foxglove", "foxglove")
+        self._sdk = ros.library("foxglove", "--foxglove", "foxglove")
+        self._kinds = ros.library("foxglove.messages", "--foxglove", "foxglove")
+        channels = ros.library("foxglove.channels", "--foxglove", "foxglove")
         self._context = self._sdk.Context()
         self._scene = channels.SceneUpdateChannel("/scene", context=self._context)
         self._frames = channels.FrameTransformsChannel("/tf", context=self._context)

@@ -330,15 +330,6 @@ def _chart(
 # Formation errors and separations
 
 
-def _excused(flight: FlightView) -> tuple[Span, ...]:
-    """Times in which the error of some UAV is excused."""
-    windows = encounters(flight.recording)
-    found = [(one.begin_ns, one.back_ns) for uav in flight.uavs for one in windows[uav]]
-    _, end = flight.seconds(flight.window_ns)
-    spans = (flight.seconds(window) for window in merged(found))
-    return tuple(Span(begin, min(close, end)) for begin, close in spans if begin < end)
-
-
 def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
     curves = defaultdict[int, Thinner](lambda: Thinner(leg.samples))
@@ -349,13 +340,6 @@ def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     except VerdictError:
         return {}
     return {uav: curve.points() for uav, curve in curves.items()}
-
-
-def _with_gaps(pieces: list[Points]) -> Points:
-    """One curve with a gap between its pieces."""
-    t = [np.append(piece.t, piece.t[-1]) for piece in pieces]
-    values = [np.append(np.maximum(piece.values, FLOOR_M), np.nan) for piece in pieces]
-    return Points(np.concatenate(t)[:-1], np.concatenate(values)[:-1])
 
 
 def deadlines(flight: FlightView) -> tuple[Mark, ...]:
@@ -376,7 +360,15 @@ def errors(flight: FlightView) -> Chart | None:
     numbers = range(len(recording.forms))
     legs = [_leg_errors(flight, replace(recording, leg=number)) for number in numbers]
     legs = [leg for leg in legs if leg]
-    curves = [_curve_of(flight, u, *_with_gaps([leg[u] for leg in legs])) for u in flight.uavs]
+    curves, windows = [], encounters(recording)
+    for uav in flight.uavs:  # with a gap between legs
+        pieces = [leg[uav] for leg in legs]
+        t = [np.append(piece.t, piece.t[-1]) for piece in pieces]
+        values = [np.append(np.maximum(piece.values, FLOOR_M), np.nan) for piece in pieces]
+        curves.append(_curve_of(flight, uav, np.concatenate(t)[:-1], np.concatenate(values)[:-1]))
+    near = merged((one.begin_ns, one.back_ns) for uav in flight.uavs for one in windows[uav])
+    shown_s = flight.seconds(flight.window_ns)[1]
+    excused = (flight.seconds(window) for window in near)
     begun = [SHARE_OF_START * float(points.values[0]) for leg in legs for points in leg.values()]
     widest = max([flight.tolerance_m, *(start for start in begun if np.isfinite(start))])
     end = float(max(curve.t[-1] for curve in curves))
@@ -390,7 +382,7 @@ def errors(flight: FlightView) -> Chart | None:
         marks=tuple(mark for mark in deadlines(flight) if mark.t <= end),
         band=(FLOOR_M, widest),
         band_label=f"widest band, {widest:.2f} m",
-        spans=_excused(flight),
+        spans=tuple(Span(a, min(b, shown_s)) for a, b in excused if a < shown_s),
         spans_label="excused near objects",
         note="Distance from its place; of the leader, from its trajectory.",
     )

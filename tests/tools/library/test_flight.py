@@ -16,7 +16,7 @@ from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording
 from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, FlightError, flight_in
-from ptnsbc_tools.library.optional import LibraryMissingError
+from ptnsbc_tools.ros import LibraryMissingError
 
 Fly = Callable[..., Recording]
 
