@@ -70,50 +70,36 @@ def shown(value: object) -> str:
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
 
 
-def dotted(path: Iterable[str | int], tree: object) -> str:
-    """`uavs[2].position_m[1]` from the keys and indices on the way down `tree`."""
-    text = ""
-    node = tree
-    for key in path:
+def _place_of(location: tuple[str | int, ...], tree: object) -> tuple[str, str, str]:
+    """The key of a pydantic location in words, `uavs[2].position_m[1]`, its first and its last name.
+
+    The tags of unions, which pydantic puts between the keys of the file, are left out.
+    """
+    text, names, node = "", [""], tree
+    for position, key in enumerate(location):
+        inside = isinstance(node, list) or (isinstance(node, Mapping) and key in node)
+        if key == "[key]" or (not inside and position < len(location) - 1):
+            continue
         if isinstance(node, list) and isinstance(key, int):
             text += f"[{key}]"
             node = node[key] if key < len(node) else None
         else:
             text += f".{key}" if text else str(key)
             node = node.get(key) if isinstance(node, Mapping) else None
-    return text
+        if isinstance(key, str):
+            names.append(key)
+    return text, names[min(1, len(names) - 1)], names[-1]
 
 
-def real_path(location: tuple[str | int, ...], tree: object) -> list[str | int]:
-    """The keys of the file in a pydantic location: without the union tags it puts between them."""
-    path: list[str | int] = []
-    node = tree
-    for position, key in enumerate(location):
-        if key == "[key]":
-            continue
-        inside = (isinstance(node, Mapping) and key in node) or isinstance(node, list)
-        if not inside and position < len(location) - 1:
-            continue  # the tag of a union, not a key of the file
-        path.append(key)
-        if isinstance(node, list):
-            node = node[key] if isinstance(key, int) and key < len(node) else None
-        else:
-            node = node.get(key) if isinstance(node, Mapping) else None
-    return path
+def _unit_text(key: str) -> str:
+    unit = unit_of(key)
+    return "a number" if unit is None else f'a number in {unit}, or text such as "1.5 {unit}"'
 
 
-def _unit_text(path: list[str | int]) -> str:
-    keys = [key for key in path if isinstance(key, str)]
-    unit = unit_of(keys[-1]) if keys else None
-    if unit is None:
-        return "a number"
-    return f'a number in {unit}, or text such as "1.5 {unit}"'
-
-
-def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
+def _expectation(kind: str, first: str, last: str, detail: ErrorDetails) -> str:
     context = detail.get("ctx", {})
     if kind == "string_pattern_mismatch":
-        of_code = path[:1] in (["law"], ["plugins"])
+        of_code = first in ("law", "plugins")
         return f"expected {'FILE.py:NAME' if of_code else 'a name of letters, digits, _ and -'}"
     if kind in _LIMITS:
         sign, key = _LIMITS[kind]
@@ -121,7 +107,7 @@ def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
     if kind in _TYPES:
         return f"expected {_TYPES[kind]}"
     if kind in ("float_type", "float_parsing"):
-        return f"expected {_unit_text(path)}"
+        return f"expected {_unit_text(last)}"
     if kind in ("literal_error", "union_tag_invalid"):
         names = str(context.get("expected", context.get("expected_tags", "")))
         words = [word.strip(" '") for word in names.replace(" or ", ",").split(",")]
@@ -132,11 +118,9 @@ def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
 def _line(detail: ErrorDetails, tree: object) -> str:
     kind = detail["type"]
     context = detail.get("ctx", {})
-    path = real_path((*detail["loc"], *context.get("below", ())), tree)
-    where = dotted(path, tree)
+    where, first, last = _place_of((*detail["loc"], *context.get("below", ())), tree)
     if kind == "missing":
-        keys = [key for key in path if isinstance(key, str)]
-        what = _unit_text(path) if keys and unit_of(keys[-1]) else "this key"
+        what = _unit_text(last) if unit_of(last) else "this key"
         return f"{where}: missing: expected {what}"
     if kind == "union_tag_not_found":
         return f"{where}.kind: missing: expected this key"
@@ -145,8 +129,8 @@ def _line(detail: ErrorDetails, tree: object) -> str:
     value = context.get("value", detail["input"])
     if kind == "union_tag_invalid":
         where, value = f"{where}.kind", context.get("tag")
-        return f"{where}: {shown(value)}: {_expectation(kind, path, {**detail, 'input': value})}"
-    return f"{where}: {shown(value)}: {_expectation(kind, path, detail)}"
+        detail = {**detail, "input": value}
+    return f"{where}: {shown(value)}: {_expectation(kind, first, last, detail)}"
 
 
 def scenario_error(source: str, error: ValidationError, tree: object) -> ScenarioError:

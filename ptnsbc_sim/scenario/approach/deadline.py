@@ -77,18 +77,6 @@ def _longest(vectors: Array) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
-def _motion(file: ScenarioFile) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] that the mission asks of a UAV beside the approach."""
-    leader, changes = leader_motion(file), file.formation.changes
-    if not file.formation.moves or not file.formation.offsets_m:
-        return leader
-    begins = [one.at_s for one in changes if one.at_s > 0.0]
-    begins += [one.begin_s for one in getattr(file.leader.trajectory, "apart", ())]
-    first = min(begins, default=file.timing.duration_s)
-    places = _places_motion(file, 0.0, first)
-    return max(leader[0], places[0]), max(leader[1], places[1])
-
-
 def _actuators(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
     """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
     gravity = file.world.gravity_m_s2
@@ -112,7 +100,15 @@ def _left(file: ScenarioFile, speed: float, acceleration: float) -> MotionLimits
 
 def limits_left(file: ScenarioFile) -> MotionLimits:
     """Speed and acceleration that are left for the approach, of the weakest vehicles."""
-    return _left(file, *_motion(file))
+    speed, acceleration = leader_motion(file)
+    if file.formation.moves and file.formation.offsets_m:
+        path, changes = file.leader.trajectory, file.formation.changes
+        begins = [change.at_s for change in changes if change.at_s > 0.0]
+        begins += [group.begin_s for group in path.apart] if isinstance(path, Route) else []
+        first = min(begins, default=file.timing.duration_s)
+        of_places = _places_motion(file, 0.0, first)
+        speed, acceleration = max(speed, of_places[0]), max(acceleration, of_places[1])
+    return _left(file, speed, acceleration)
 
 
 def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> MotionLimits:

@@ -74,22 +74,14 @@ def with_route(file: _File, source: str, words: Sequence[Word] = ()) -> _File:
     first = path.first if isinstance(path, Route) else path
     until_s = file.timing.duration_s + _MARGIN_S
     try:
-        route = _route(first, leader_legs(legs), until_s)
+        moving, start = leader_legs(legs), _rows(_follow(first, 0.0, 0.0, until_s))
+        route = Route(first, moving, until_s, curve_of(_through(start, moving, until_s)))
         changes = scheduled_changes(file.mission, legs, file.formation.offsets_m)
         file = replaced(file, {"formation.changes": changes})
         route = replace(route, apart=tuple(_apart(file, route, legs)))
     except ValueError as error:
         raise ScenarioError(f"{source}: mission.legs: {error}") from None
     return replaced(file, {"leader.trajectory": route})
-
-
-def _route(first: AnyPath, legs: tuple[ScheduledLeg, ...], until_s: float) -> Route:
-    """The route that begins with the trajectory block `first`.
-
-    What is flown before a leg begins does not depend on that leg, to the last bit: a UAV may hear of it late.
-    """
-    rows = _rows(_follow(first, 0.0, 0.0, until_s))
-    return Route(first, legs, until_s, curve_of(_through(rows, legs, until_s)))
 
 
 def _spans(legs: Sequence[ScheduledLeg]) -> list[list[ScheduledLeg]]:
@@ -145,7 +137,10 @@ class _Knot(NamedTuple):
 
 
 def _through(rows: Array, legs: Sequence[ScheduledLeg], until_s: float) -> Array:
-    """A path that goes on by these legs."""
+    """A path that goes on by these legs.
+
+    What is flown before a leg begins does not depend on that leg, to the last bit: a UAV may hear of it late.
+    """
     for leg in legs:
         before = rows[rows[:, 0] < leg.begin_s - _APART_S]
         flown = before if len(before) else rows  # a leg may begin with the path

@@ -27,6 +27,7 @@ from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, YAW, conditions,
 _STRETCH: Array = np.power(1.25, np.arange(20.0))  # of join_s and stop_s, up to 69 times
 _SHARES = np.linspace(0.0, 1.0, 65)  # of a polynomial, at which it is compared with the limits
 _SLACK = 1.0 + 1e-6
+_INVERSE = np.asarray(np.linalg.inv(conditions(4, 4)), dtype=np.float64)
 _LIVE_ROWS = 8  # that a process keeps which flies
 
 
@@ -253,14 +254,9 @@ def _polynomials(first: Array, lasts: Array, spans: Array) -> Array:
     """Coefficients (K, 4, 8), the highest power first, from a state (4, 4) to K others within K spans [s]."""
     powers = spans[:, None] ** np.arange(4)
     ends = np.concatenate([first * powers[:, :, None], lasts * powers[:, :, None]], axis=1)
-    of_share = np.einsum("ij,kjc->kci", _inverse(), ends)
+    of_share = np.einsum("ij,kjc->kci", _INVERSE, ends)
     found: Array = (of_share / (spans[:, None, None] ** np.arange(COEFFICIENTS)))[:, :, ::-1]
     return found
-
-
-@cache
-def _inverse() -> Array:
-    return np.asarray(np.linalg.inv(conditions(4, 4)), dtype=np.float64)
 
 
 @cache

@@ -181,46 +181,31 @@ _MOST_STEPS = 50_000
 _BEFORE_S = 1e-9  # before the end of a piece
 
 
-class Samples(NamedTuple):
-    """The content of a CSV file."""
-
-    times: Array  # (S,) [s]
-    points: Array  # (S, 3) [m]
-    yaws: Array | None  # (S,) [rad]
-
-
 def trajectory_problems(block: AnyPath) -> Iterator[str]:
     """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
     if isinstance(block, SetpointTrajectory):
         yield from stream_problems(block)
-    if not isinstance(block, Waypoints | Csv):
-        return
-    found = list(
-        _waypoint_problems(block) if isinstance(block, Waypoints) else _csv_problems(block)
-    )
-    yield from found or _curve_problems(block)
+    problems: list[str] = []
+    if isinstance(block, Waypoints):
+        problems = list(_waypoint_problems(block))
+    elif isinstance(block, Csv):
+        try:
+            samples_of(block.samples)
+        except ValueError as error:
+            problems = [f"samples: {error}"]
+    yield from problems
+    if isinstance(block, Waypoints | Csv) and not problems and not _is_finite(block):
+        key = "samples" if isinstance(block, Csv) else "times_s"
+        yield f"{key}: no smooth curve goes through these points: expected times that are more even"
 
 
-def _csv_problems(block: Csv) -> Iterator[str]:
-    if block.samples is None:
-        yield "samples: missing: expected file: NAME, or samples: with its content"
-        return
-    try:
-        samples_of(block.samples)
-    except ValueError as error:
-        yield f"samples: {error}"
-
-
-def _curve_problems(block: Waypoints | Csv) -> Iterator[str]:
+def _is_finite(block: Waypoints | Csv) -> bool:
     """True if a finite curve goes through the points."""
     try:
         with np.errstate(all="ignore"):
-            finite = bool(np.isfinite(trajectory_of(block).table).all())
+            return bool(np.isfinite(trajectory_of(block).table).all())
     except ValueError:  # of SciPy; LinAlgError is one
-        finite = False
-    if not finite:
-        key = "samples" if isinstance(block, Csv) else "times_s"
-        yield f"{key}: no smooth curve goes through these points: expected times that are more even"
+        return False
 
 
 def _too_far(numbers: Any) -> bool:
@@ -265,12 +250,14 @@ def _not_ascending(times: Sequence[float]) -> int | None:
 
 
 @lru_cache(maxsize=4)
-def samples_of(text: str) -> Samples:
-    """The rows of a CSV text.
+def samples_of(text: str | None) -> Array:
+    """The rows t, x, y, z [m] and, in all or none, yaw [rad] of a CSV text.
 
     Raises:
         ValueError: a row that is none, in words that follow a key.
     """
+    if text is None:
+        raise ValueError("missing: expected file: NAME, or samples: with its content")
     table = rows_of(text, "t, x, y, z and, in all rows or none, yaw", (4, 5))
     if not 2 <= len(table) <= MOST_POINTS:
         raise ValueError(f"{len(table)} rows: expected 2 to {MOST_POINTS}")
@@ -279,7 +266,7 @@ def samples_of(text: str) -> Samples:
     wrong = _not_ascending(table[:, 0].tolist())
     if wrong is not None:
         raise ValueError(f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: {_ASCENDING}")
-    return Samples(table[:, 0], table[:, 1:4], table[:, 4] if table.shape[1] == 5 else None)
+    return table
 
 
 @lru_cache(maxsize=64)
@@ -301,7 +288,12 @@ def trajectory_of(block: AnyPath) -> Trajectory:
     if isinstance(block, Lissajous):
         return _harmonic(block)
     if isinstance(block, Csv):
-        return _sampled(block)
+        table = samples_of(block.samples)
+        times, has_yaw = table[:, 0], table.shape[1] == 5
+        columns = [*table.T[1:4], np.unwrap(table[:, 4]) if has_yaw else np.zeros(len(times))]
+        pieces = [_pieces(times, column, "cubic_free", False) for column in columns]
+        heading = HEADING_TABLE if has_yaw else _heading_of(block)
+        return _piecewise(times, pieces, heading, 0.0, block.yaw_rad)
     return _through_points(block)
 
 
@@ -331,19 +323,15 @@ def _lap(block: Waypoints) -> Array:
     return np.concatenate([points, points[:1]]) if block.closed else points
 
 
-def _times(block: Waypoints, points: Array) -> Array:
-    if block.times_s is not None:
-        return np.array(block.times_s, dtype=np.float64)
-    assert block.speed_m_s is not None  # or it has a problem
-    slow = _TOP_RATE if block.through == "straight" else 1.0
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(slow * lengths / block.speed_m_s)])
-
-
 def _through_points(block: Waypoints) -> Trajectory:
-    points = _lap(block)
-    times = _times(block, points)
-    yaws = None
+    points, yaws = _lap(block), None
+    if block.times_s is not None:
+        times = np.array(block.times_s, dtype=np.float64)
+    else:
+        assert block.speed_m_s is not None  # or it has a problem
+        slow = _TOP_RATE if block.through == "straight" else 1.0
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        times = np.concatenate([[0.0], np.cumsum(slow * lengths / block.speed_m_s)])
     if block.yaws_rad is not None:
         yaws = np.unwrap(np.array([*block.yaws_rad, *block.yaws_rad[:1]][: len(points)]))
     turns = np.zeros(len(points)) if yaws is None else yaws
@@ -355,15 +343,6 @@ def _through_points(block: Waypoints) -> Trajectory:
     heading = HEADING_TABLE if yaws is not None else _heading_of(block)
     period = float(times[-1]) if block.closed else 0.0
     return _piecewise(times, pieces, heading, period, block.yaw_rad)
-
-
-def _sampled(block: Csv) -> Trajectory:
-    samples = samples_of(block.samples or "")
-    yaws = np.zeros(len(samples.times)) if samples.yaws is None else np.unwrap(samples.yaws)
-    columns = [*samples.points.T, yaws]
-    pieces = [_pieces(samples.times, column, "cubic_free", False) for column in columns]
-    heading = _heading_of(block) if samples.yaws is None else HEADING_TABLE
-    return _piecewise(samples.times, pieces, heading, 0.0, block.yaw_rad)
 
 
 def _pieces(times: Array, values: Array, way: str, closed: bool) -> Array:
@@ -423,7 +402,10 @@ def extremes(block: AnyPath, duration_s: float) -> Extremes:
     ends = curve.table[:, 0] if curve.numbers[0] == TRAJECTORY_PIECEWISE else np.zeros(0)
     last = max(duration_s, 0.0)
     if isinstance(block, (Circle, Lissajous)):
-        last = min(last, _longest_lap(block))
+        # Nothing new comes later, or as good as nothing where the rates have no common period.
+        rates = block.rate_rad_s if isinstance(block, Lissajous) else (block.rate_rad_s,)
+        slowest = min((abs(rate) for rate in rates if rate != 0.0), default=np.inf)
+        last = min(last, 20.0 * np.pi / slowest)
     elif isinstance(block, (Line, Hover)):
         last = 0.0
     else:
@@ -446,10 +428,3 @@ def extremes(block: AnyPath, duration_s: float) -> Extremes:
 
 def _longest(vectors: Array) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
-
-
-def _longest_lap(block: Circle | Lissajous) -> float:
-    """A time [s] after which nothing new comes, or as good as nothing where the rates have no common period."""
-    rates = block.rate_rad_s if isinstance(block, Lissajous) else (block.rate_rad_s,)
-    slowest = min((abs(rate) for rate in rates if rate != 0.0), default=np.inf)
-    return 0.0 if slowest == np.inf else 20.0 * np.pi / slowest

@@ -120,7 +120,7 @@ def test_rows_of_a_file():
     for text, why in (
         ("0,0,0,4,0,0,0,0\n1,2,3", "row 2: 3 numbers: expected t, x, y"),
         ("0,0,0,nan,0,0,0,0", "row 1: expected finite"),
-        ("1,0,0,4,0,0,0,0\n1,0,0,4,0,0,0,0", "row 2: t = 1: expected times that ascend"),
+        ("1,0,0,4,0,0,0,0\n1,0,0,4,0,0,0,0", "row 2 of numbers: t = 1: expected times that ascend"),
     ):
         with pytest.raises(ValueError, match=why):
             setpoints_of(text)
