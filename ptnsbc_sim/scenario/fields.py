@@ -67,6 +67,7 @@ def _plain(unit: str) -> str:
 
 
 def _number(value: Any, unit: str, below: tuple[str | int, ...]) -> Any:
+    """A value with "number unit" texts, also inside lists and mappings, made numbers."""
     if isinstance(value, list):
         return [_number(item, unit, (*below, index)) for index, item in enumerate(value)]
     if isinstance(value, dict):
@@ -84,12 +85,6 @@ def _number(value: Any, unit: str, below: tuple[str | int, ...]) -> Any:
     raise PydanticCustomError(
         "quantity", "expected {expected}", {"below": below, "value": value, "expected": expected}
     )
-
-
-def strip_unit(key: str, value: Any) -> Any:
-    """`value` of `key` with "number unit" texts, also inside lists and mappings, made numbers."""
-    unit = unit_of(key)
-    return value if unit is None else _number(value, unit, (key,))
 
 
 _WAVE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(sin|cos)?\s*")
@@ -149,10 +144,12 @@ class Block(BaseModel):
                 raise PydanticCustomError(
                     "unknown_key", "unknown key", {"below": (key,), "known": (*cls.model_fields,)}
                 )
-        return {
-            key: value if key.startswith("disturbance") or value == AUTO else strip_unit(key, value)
+        units = {
+            key: unit
             for key, value in tree.items()
+            if value != AUTO and not key.startswith("disturbance") and (unit := unit_of(key))
         }
+        return {**tree, **{key: _number(tree[key], units[key], (key,)) for key in units}}
 
 
 _Block = TypeVar("_Block", bound=Block)

@@ -44,46 +44,6 @@ from ptnsbc_sim.scenario.reading.content import (
 )
 from ptnsbc_sim.scenario.semantics import checked
 
-
-def load_text(
-    text: str, overrides: Mapping[str, Any] | None, source: str, folder: Path | None, complete: bool
-) -> tuple[ScenarioFile, str]:
-    """A validated file, not yet checked, and the YAML text that loads again to it.
-
-    The arguments are those of `scenario_from_text`.
-    """
-    tree = reader.parse(text, source)
-    if complete and "extends" in tree:
-        raise ScenarioError(
-            f"{source}: extends: not here: expected a whole scenario, no other file"
-        )
-    if complete and (named := names_table(tree)):
-        raise ScenarioError(f"{source}: {named}: not here: expected samples, no other file")
-    if complete or folder is None:
-        refuse_functions(tree, source)
-    given = {key: value for key, value in (overrides or {}).items() if value is not None}
-    final = reader.extended(tree, source, folder or Path.cwd())
-    if complete:
-        final = without_folder(final)
-    elif folder is not None:
-        final = with_code(final, folder)
-    if given:
-        final = with_table(reader.overridden(final, given, source), source, Path.cwd())
-        refuse_new_functions(final, given, source)
-        final = with_code(final, Path.cwd(), given)
-    final = with_shape(final, source)
-    if given or final != tree:
-        text = reader.dump(final)
-    file = validated(final, source)
-    if math.isinf(file.gains.formation.deadline_s):
-        first = replaced(file, {_DEADLINE: 1.0})
-        checked(first, source)
-        file = replaced(file, {_DEADLINE: auto_deadline(with_route(first, source), source)})
-        deadline = {_DEADLINE: file.gains.formation.deadline_s}
-        text = reader.dump(reader.with_keys(final, deadline, source))
-    return file, text
-
-
 _DEADLINE = "gains.formation.deadline_s"
 
 
@@ -245,8 +205,34 @@ def scenario_from_text(
         folder: Where files that it extends are searched first. Without it the text names no code to execute.
         complete: The text comes from outside, such as from a bag: it must not name files to read.
     """
-    file, final = load_text(text, overrides, source, folder, complete)
-    return scenario_of(file, final, source)
+    tree = reader.parse(text, source)
+    if complete and "extends" in tree:
+        raise ScenarioError(
+            f"{source}: extends: not here: expected a whole scenario, no other file"
+        )
+    if complete and (named := names_table(tree)):
+        raise ScenarioError(f"{source}: {named}: not here: expected samples, no other file")
+    if complete or folder is None:
+        refuse_functions(tree, source)
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    final = reader.extended(tree, source, folder or Path.cwd())
+    if complete:
+        final = without_folder(final)
+    elif folder is not None:
+        final = with_code(final, folder)
+    if given:
+        final = with_table(reader.overridden(final, given, source), source, Path.cwd())
+        refuse_new_functions(final, given, source)
+        final = with_code(final, Path.cwd(), given)
+    final = with_shape(final, source)
+    file = validated(final, source)
+    if math.isinf(file.gains.formation.deadline_s):
+        first = replaced(file, {_DEADLINE: 1.0})
+        checked(first, source)
+        deadline_s = auto_deadline(with_route(first, source), source)
+        file = replaced(file, {_DEADLINE: deadline_s})
+        final = reader.overridden(final, {_DEADLINE: deadline_s}, source)
+    return scenario_of(file, reader.dump(final) if given or final != tree else text, source)
 
 
 def scenario_of(file: ScenarioFile, text: str, source: str) -> Scenario:

@@ -6,55 +6,25 @@ from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import Problem
+from ptnsbc_tools.check import gains, geometry, mission
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
-from ptnsbc_tools.check.gains import (
-    changes,
-    feasible,
-    order,
-    positioning,
-    printed,
-    steps,
-    within_flight,
-)
-from ptnsbc_tools.check.geometry import (
-    encounters,
-    graph,
-    moving_spacing,
-    recovery,
-    sensor,
-    shape,
-    slots,
-    spacing,
-    starts_clear,
-    turn,
-)
-from ptnsbc_tools.check.mission import faults, legs, membership, trajectory, words
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
+_SHAPE = geometry.graph, geometry.shape, geometry.spacing, geometry.moving_spacing
+_GAINS = gains.steps, gains.order, gains.printed
+_APPROACH = geometry.slots, geometry.turn, gains.feasible, gains.within_flight, gains.changes
+_MISSION = mission.legs, mission.words, mission.membership, mission.trajectory
+_OBSTACLES = geometry.encounters, geometry.recovery, geometry.sensor
 _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
-    graph,
-    shape,
-    spacing,
-    moving_spacing,
-    starts_clear,
-    steps,
-    order,
-    printed,
-    slots,
-    turn,
-    feasible,
-    within_flight,
-    changes,
-    legs,
-    words,
-    membership,
-    trajectory,
-    encounters,
-    recovery,
-    sensor,
-    positioning,
-    faults,
+    *_SHAPE,
+    geometry.starts_clear,
+    *_GAINS,
+    *_APPROACH,
+    *_MISSION,
+    *_OBSTACLES,
+    gains.positioning,
+    mission.faults,
 )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sweep.dry_run import RUNS, START_M, DryRun, dry_run, remedies
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_sim.sweep.dry_run import RUNS, START_M, dry_run, remedies
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding
 from ptnsbc_tools.sweeps.summary import share
 
 KEY = "dry run"
@@ -21,10 +21,6 @@ def flown(scenario: Scenario, runs: int = RUNS, progress: Progress | None = None
         SweepError: UAVs start so close that no perturbed start has room.
     """
     done = dry_run(scenario, runs, progress=progress)
-    return [*_share(scenario, done), *_worst(done)]
-
-
-def _share(scenario: Scenario, done: DryRun) -> Findings:
     of = len(done.flights)
     accepted = done.accepted()
     first = "" if done.flights[0].met else "; the unperturbed flight is not met"
@@ -34,21 +30,20 @@ def _share(scenario: Scenario, done: DryRun) -> Findings:
         advice = "; or ".join(mended) or (
             "no longer deadline, other task, graph or avoidance mended it: move starts or places apart"
         )
-    yield Finding(
-        ERROR if not accepted else WARNING if done.met < of else INFO,
-        KEY,
-        f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}",
-        f">= {100 * done.least:g} %, and the unperturbed flight",
-        advice,
-    )
-
-
-def _worst(done: DryRun) -> Findings:
+    findings = [
+        Finding(
+            ERROR if not accepted else WARNING if done.met < of else INFO,
+            KEY,
+            f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}",
+            f">= {100 * done.least:g} %, and the unperturbed flight",
+            advice,
+        )
+    ]
     worst, room = done.worst, done.least_room_m
     if not worst.met:
-        yield Finding(
-            WARNING, f"{KEY}: worst", f"UAV {worst.uav} {worst.verdict}", "met", worst.cause
-        )
+        value = f"UAV {worst.uav} {worst.verdict}"
+        findings.append(Finding(WARNING, f"{KEY}: worst", value, "met", worst.cause))
     if room is not None:
-        severity = WARNING if room < 0.0 else INFO
-        yield Finding(severity, f"{KEY}: room", f"{room:.3f} m beyond the keep-outs", ">= 0 m", "")
+        severity, value = WARNING if room < 0.0 else INFO, f"{room:.3f} m beyond the keep-outs"
+        findings.append(Finding(severity, f"{KEY}: room", value, ">= 0 m", ""))
+    return findings
