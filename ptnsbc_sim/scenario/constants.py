@@ -195,16 +195,14 @@ def deceleration(scenario: Scenario, uav_id: int) -> float:
     return float(min(limit, sideways, lift, specific - gravity))
 
 
-def weakest_deceleration(scenario: Scenario) -> float:
-    """The `deceleration` [m/s^2] of the weakest vehicle."""
-    unlike = {id(plant_of(scenario.plant, uav)): uav.id for uav in scenario.uavs}
-    return min(deceleration(scenario, uav_id) for uav_id in unlike.values())
-
-
 def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     """Constants of the clearance of one UAV."""
     gains = scenario.gains.clearance
     loops = loop_lag_s(scenario)
+    unlike = {id(plant_of(scenario.plant, uav)): uav.id for uav in scenario.uavs}
+    number = 1 + scenario.uav_ids.index(
+        uav_id
+    )  # in a second deadlock_s any two are a keep-out apart
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
     return ClearanceConfig(
         rule=AVOIDANCE[scenario.formation.avoidance],
@@ -216,21 +214,15 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         forget_s=float(gains.forget_s),
         approach=APPROACH_SPEEDS[gains.approach],
         deceleration=deceleration(scenario, uav_id),
-        weakest=weakest_deceleration(scenario),
+        weakest=min(deceleration(scenario, uav) for uav in unlike.values()),
         lag_s=float(1.0 / scenario.timing.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
         stale_s=float(gains.stale_s),
         range_m=float(scenario.sensor.range_m),
         deadlock_s=float(gains.deadlock_s),
-        climb=_climb(scenario, uav_id),
+        climb=float(number * scenario.formation.uav_keep_out_m / gains.deadlock_s),
     )
-
-
-def _climb(scenario: Scenario, uav_id: int) -> float:
-    """Speed [m/s] that no other UAV has: in a second deadlock_s any two are a keep-out apart."""
-    number = 1 + scenario.uav_ids.index(uav_id)
-    return float(number * scenario.formation.uav_keep_out_m / scenario.gains.clearance.deadlock_s)
 
 
 def sight_speed(
