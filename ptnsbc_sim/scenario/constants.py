@@ -199,7 +199,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     """Constants of the clearance of one UAV."""
     gains = scenario.gains.clearance
     loops = loop_lag_s(scenario)
-    unlike = {id(plant_of(scenario.plant, uav)): uav.id for uav in scenario.uavs}
+    unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
     number = 1 + scenario.uav_ids.index(
         uav_id
     )  # in a second deadlock_s any two are a keep-out apart
