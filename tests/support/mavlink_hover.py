@@ -19,7 +19,8 @@ class HoverWorld:
     """One vehicle, its wire, and the clock of both."""
 
     def __init__(self, kind, *, gnss="rtk", delay_s=0.005, uav=1, **overrides):
-        changes = {"mavlink.autopilot": NAMES[kind], **overrides}
+        low = {"mavlink.takeoff_height_m": 1.5}  # soon up, and soon down again
+        changes = {"mavlink.autopilot": NAMES[kind], **low, **overrides}
         self.scenario = load_scenario("experiment_4", changes).bridged()
         self.now_s, self.lines = START_S, []
         start = starts(Fleet(None, self.scenario.source, gnss, 0.0, None, 1))[uav - 1]

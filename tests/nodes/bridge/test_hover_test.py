@@ -136,7 +136,7 @@ class HoverProcess:
     """A flight of `fly_hover_test`; `at` is called once, soon after the sinusoids have begun."""
 
     def __init__(self, folder, monkeypatch):
-        self.folder, self.world = folder, HoverWorld("px4", **{"mavlink.takeoff_height_m": 1.5})
+        self.folder, self.world = folder, HoverWorld("px4")
         self.at, self._due_s = lambda: None, None
         self.during = []  # records, as they were when `at` was called
         clock = SimpleNamespace(

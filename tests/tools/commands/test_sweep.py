@@ -119,7 +119,7 @@ def test_compare_finds_what_is_worse(small: Path, tmp_path: Path) -> None:
 def test_compare_takes_the_names_of_sweeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("before", "after"):
-        assert run("sweep", *SMALL, "--name", name, "--no-report")[0] == 0
+        assert run("sweep", "paper_5", "--runs", 1, *QUICK, "--name", name, "--no-report")[0] == 0
     assert run("compare", "before", "after")[0] == 0
     code, _, err = run("compare", "before", "later")
     assert code == 2 and "later: no such sweep or bag, and no sweep of that name" in err
