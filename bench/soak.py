@@ -19,6 +19,7 @@ from typing import Any
 from bench.processes import Sampler
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import peek_stamp
@@ -60,7 +61,7 @@ def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[
 def behind_s(bag: Bag, topic: str) -> float:
     """The longest time [s] that a message of a topic waited for the recorder of a flight in real time."""
     waits = (message.stamp_ns - peek_stamp(message.data) for message in bag.messages([topic]))
-    return max(waits, default=0) * 1e-9
+    return seconds(max(waits, default=0))
 
 
 def soak(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage, MessageRecord, walk
 from ptnsbc_io.bag.metadata import BagError, DamagedError, TopicDeclaration, plain_yaml
@@ -217,7 +218,7 @@ def trim(
                 yield message
 
     if not any(begin_ns <= message.stamp_ns <= end_ns for message in bag.messages()):
-        begin, end, last = ((t - bag.start_ns) * 1e-9 for t in (begin_ns, end_ns, bag.end_ns))
+        begin, end, last = (seconds(t - bag.start_ns) for t in (begin_ns, end_ns, bag.end_ns))
         raise BagError(
             f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
             f"expected times from 0 s to {last:g} s"

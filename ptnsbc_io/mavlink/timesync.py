@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 
-_NANO = 1e-9
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
+
 _ROUNDING_S = 1e-6
 _SLOWEST_TRIP_S = 0.5
 _WINDOW = 16
@@ -45,7 +46,7 @@ class TimeSync:
 
     def request(self, now_s: float) -> int:
         """The stamp [ns] to send as ts1."""
-        stamp_ns = round(now_s / _NANO)
+        stamp_ns = nanoseconds(now_s)
         self._requested_ns.append(stamp_ns)
         return stamp_ns
 
@@ -54,10 +55,10 @@ class TimeSync:
         if ours_ns not in self._requested_ns:
             return False
         self._requested_ns.remove(ours_ns)  # each request has one answer; a second one is a replay
-        trip_s = now_s - ours_ns * _NANO
+        trip_s = now_s - seconds(ours_ns)
         if not -_ROUNDING_S <= trip_s <= _SLOWEST_TRIP_S:
             return False
-        offset_s = 0.5 * (ours_ns * _NANO + now_s) - theirs_ns * _NANO
+        offset_s = 0.5 * (seconds(ours_ns) + now_s) - seconds(theirs_ns)
         self.answers += 1
         if self._trips and abs(offset_s - self._round_trip_offset()) > _JUMP_S + trip_s:
             self._jump_samples += 1

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import SECOND_NS
 
 Floats = NDArray[np.float64]
 
 LITTLE_ENDIAN_HEADER = b"\x00\x01\x00\x00"
-NANOSECONDS = 1_000_000_000
 
 _BODY = 4  # the encapsulation header; alignment starts after it
 _BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
@@ -74,7 +74,7 @@ def align(offset: int, size: int) -> int:
 
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of builtin_interfaces/Time; its seconds are 32 bits wide."""
-    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
     if not -(2**31) <= seconds < 2**31:
         raise WireError(f"stamp {stamp_ns} ns: expected seconds within 32 bits")
     return seconds, nanoseconds
@@ -114,7 +114,7 @@ class Reader:
     def stamp(self) -> int:
         """A builtin_interfaces/Time [ns]."""
         seconds, nanoseconds = self.numbers("iI")
-        return int(seconds * NANOSECONDS + nanoseconds)
+        return int(seconds * SECOND_NS + nanoseconds)
 
     def skip_text(self) -> bytes:
         """The bytes of a string."""

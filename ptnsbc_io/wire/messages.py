@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_io.wire.cdr import (
     LITTLE_ENDIAN_HEADER,
-    NANOSECONDS,
     Floats,
     Reader,
     Stamped,
@@ -146,7 +146,7 @@ def peek_stamp(buf: bytes) -> int:
     """The stamp [ns] of any message that starts with a std_msgs/Header (or is a Clock)."""
     if buf[:2] == _LITTLE and len(buf) >= _FRAME_AT:  # a quarter of the time of a Reader
         seconds, nanoseconds = _STAMP.unpack_from(buf, 4)
-        return int(seconds * NANOSECONDS + nanoseconds)
+        return int(seconds * SECOND_NS + nanoseconds)
     return Reader(buf, "stamped message").stamp()
 
 
@@ -178,7 +178,7 @@ def _after_frames(buf: bytes, what: str, frames: int, size: int) -> tuple[str, i
         raise WireError(
             f"{what}: {len(buf)} bytes: expected at least {at + size}, the message is cut"
         )
-    return order, seconds * NANOSECONDS + nanoseconds, at
+    return order, seconds * SECOND_NS + nanoseconds, at
 
 
 def _decode_vector_pair(buf: bytes, what: str) -> Stamped:

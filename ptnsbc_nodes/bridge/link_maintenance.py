@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, fate, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
@@ -74,7 +75,7 @@ class LinkMaintenance:
         """TIMESYNC, PARAM_VALUE and COMMAND_ACK; a question of the vehicle is answered."""
         kind = message.get_type()
         if kind == "TIMESYNC" and message.tc1 == 0:
-            answer = mavlink.MAVLink_timesync_message(round(now_s * 1e9), message.ts1)
+            answer = mavlink.MAVLink_timesync_message(nanoseconds(now_s), message.ts1)
             self.link.send(answer)
         elif kind == "TIMESYNC":
             self.sync.on_answer(message.tc1, message.ts1, now_s)

@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import LEGS
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
@@ -173,7 +174,7 @@ class DecidedSlots:
         """As `decode_slots`; SlotsError also for a decision that contradicts the one for its epoch."""
         decision = decode_slots(data, self._scenario)
         if self._by_epoch.get(decision.t0_ns, decision.slots) != decision.slots:
-            epoch_s = decision.t0_ns * 1e-9
+            epoch_s = seconds(decision.t0_ns)
             raise SlotsError(f"second slots of the epoch at {epoch_s:.3f} s: the first ones count")
         return decision
 

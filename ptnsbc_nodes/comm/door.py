@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.wire import Stamped, WireError, peek_stamp
 
 T = TypeVar("T")
@@ -85,7 +86,7 @@ class RealTimeStamps:
         """Raise WireError when the stamp is refused."""
         clock_ns, now_s = self._now_ns(), self._steady_s()
         # A simulated clock stands at 0 until its first message.
-        age_s = (clock_ns - stamp_ns) * 1e-9 if clock_ns else 0.0
+        age_s = seconds(clock_ns - stamp_ns) if clock_ns else 0.0
         if age_s > OLDEST_S:
             raise WireError(f"stamp is {age_s:.1f} s old: expected {OLDEST_S:g} s at most")
         if age_s < -AHEAD_S:

@@ -17,6 +17,7 @@ from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import encode, split_stamp
@@ -117,7 +118,7 @@ class OdometryMarkers:
             return None
         self._period = period
         # Bodies that move stand still before the epoch.
-        since_s = -1.0 if self._epoch_ns is None else (stamp_ns - self._epoch_ns) * 1e-9
+        since_s = -1.0 if self._epoch_ns is None else seconds(stamp_ns - self._epoch_ns)
         places = np.array([self._places[i] for i in scenario.uav_ids])
         return self._scene.markers(stamp_ns, places, scenario.world.body_positions(since_s))
 

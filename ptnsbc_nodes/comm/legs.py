@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_sim.scenario import Scenario
@@ -55,7 +56,7 @@ class Epochs:
 
     def word(self, t0_ns: int, number: int) -> Word:
         """A word that counts from `t0_ns`; a leg must have been announced."""
-        return Word(number, (t0_ns - self._legs[0].first_t0_ns) * 1e-9)
+        return Word(number, seconds(t0_ns - self._legs[0].first_t0_ns))
 
     def _say(self, t0_ns: int, number: int) -> bool:
         """Begin a leg of the mission, or cancel the present one; False where that means nothing, or is known."""
@@ -78,7 +79,7 @@ class Epochs:
         leg = self.at(now_ns)
         if leg is None or leg.mode != MODE_FORMATION:
             raise EpochError("setpoint: expected one while the formation is flown")
-        one = setpoint_of((now_ns - leg.first_t0_ns) * 1e-9, odometry)
+        one = setpoint_of(seconds(now_ns - leg.first_t0_ns), odometry)
         try:
             return self.scenario.with_setpoint(one)
         except SetpointError as error:

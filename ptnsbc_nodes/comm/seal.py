@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.files import KEY_BYTES, read_key
 from ptnsbc_nodes.comm.topics import CLOCK, EPOCH, Role, Topic
 from ptnsbc_sim.scenario import Scenario
@@ -85,7 +86,7 @@ class Seal:
                     raise SealError("not sealed with the key of the fleet")
                 return data
             (sent_ns,) = _TIME.unpack_from(data, len(data) - SEAL_BYTES)
-            age_s = (now_ns() - sent_ns) * 1e-9
+            age_s = seconds(now_ns() - sent_ns)
             if timed and not -WINDOW_S <= age_s <= window_s:
                 raise SealError(f"sealed {age_s:.1f} s ago: expected {window_s:g} s at most")
             if topic.name == EPOCH.name:  # of two legs the one announced last counts

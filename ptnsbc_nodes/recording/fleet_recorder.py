@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from rclpy.node import Node
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
@@ -257,5 +258,5 @@ class LockstepRecorder(BagRecorder):
         for message in messages:
             if message.stamp_ns > self._written_ns:
                 self._written_ns = message.stamp_ns
-                self._writer.flush_if_due(message.stamp_ns * 1e-9)
+                self._writer.flush_if_due(seconds(message.stamp_ns))
             self._writer.write(message.topic, message.stamp_ns, message.data)

@@ -14,6 +14,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
 from ptnsbc_io.wire import encode_clock
 from ptnsbc_nodes.comm import topics
@@ -88,9 +89,9 @@ class _Player:
         self._publishers: dict[str, Publisher] = dict(_publishers(node, bag, options, say))
         if not self._publishers:
             raise PlayError(f"{bag.path}: no topic to play: {', '.join(options.topics)} chosen")
-        self._start_ns = bag.start_ns + round(options.start_s * 1e9)
+        self._start_ns = bag.start_ns + nanoseconds(options.start_s)
         if self._start_ns > bag.end_ns:
-            length = (bag.end_ns - bag.start_ns) * 1e-9
+            length = seconds(bag.end_ns - bag.start_ns)
             raise PlayError(
                 f"start {options.start_s:g} s: expected less than the {length:.3f} s of the bag"
             )
@@ -124,7 +125,7 @@ class _Player:
         began, reported = time.monotonic(), 0.0
         for message in self._events():
             after_ns = message.stamp_ns - self._start_ns
-            due = began + after_ns * 1e-9 / self._options.rate
+            due = began + seconds(after_ns) / self._options.rate
             if self._stop.wait(due - time.monotonic()):
                 return
             self._played.latest_s = max(self._played.latest_s, time.monotonic() - due)

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import SECOND_NS, seconds
 from ptnsbc_io.wire import Stamped
 
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.timer import Timer
 
-NANOSECONDS = 1e9
 _SHORTEST_NS = 1_000
 _ALIGNED_S = 1.0
 _BEHIND = 0.3  # of a period: time for the message to arrive, and for the answer to be in time
@@ -120,7 +120,7 @@ class Ticker:
     def __init__(self, node: Node, period_ns: int, callback: Callable[[], None]) -> None:
         self._node = node
         self._period_ns = period_ns
-        self._timer = node.create_timer(period_ns / NANOSECONDS, callback)
+        self._timer = node.create_timer(period_ns / SECOND_NS, callback)
         self._once: Timer | None = None
         self._aligned_s = float("-inf")
 
@@ -138,7 +138,7 @@ class Ticker:
             self._node.destroy_timer(self._once)
         now_ns = int(self._node.get_clock().now().nanoseconds)
         wait_ns = max(delay_ns(now_ns, stamp_ns, self._period_ns), _SHORTEST_NS)
-        self._once = self._node.create_timer(wait_ns / NANOSECONDS, self._shift)
+        self._once = self._node.create_timer(wait_ns / SECOND_NS, self._shift)
 
     def close(self) -> None:
         """Destroy the timers."""
@@ -167,9 +167,9 @@ class _Least:
         if message.stamp_ns == self._stamp_ns:
             return
         self._stamp_ns = message.stamp_ns
-        if (now_ns - self._since_ns) * 1e-9 > _WINDOW_S:
+        if seconds(now_ns - self._since_ns) > _WINDOW_S:
             self._before, self._now, self._since_ns = self._now, None, now_ns
-        age_s = (now_ns - message.stamp_ns) * 1e-9
+        age_s = seconds(now_ns - message.stamp_ns)
         self._now = age_s if self._now is None else min(self._now, age_s)
 
     @property

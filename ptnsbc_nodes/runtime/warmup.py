@@ -6,6 +6,7 @@ import numpy as np
 
 from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
 from ptnsbc_core.kinematics import move_to_present
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import NEAR_COLUMNS
 from ptnsbc_sim.plugins.formation_task import NO_TASK
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -18,7 +19,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
     move_to_present(inputs.vector[OWN:PARENT], 0.0)
-    config, dt = agent_config(scenario, uav_id), scenario.timing.dt_ns * 1e-9
+    config, dt = agent_config(scenario, uav_id), seconds(scenario.timing.dt_ns)
     agent = Agent(config, inputs.unpack().own)
     if uav_id != scenario.leader.id and scenario.plugins.task is not None:
         agent.task_points(inputs, 0.0, dt)

@@ -18,6 +18,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import (
     HeaderFields,
@@ -119,7 +120,7 @@ class RealTimeWorld:
         self._world = world
         self._publish = publish
         self._dt_ns = scenario.timing.dt_ns
-        self._stale_ns = round(scenario.communication.stale_s * 1e9)
+        self._stale_ns = nanoseconds(scenario.communication.stale_s)
         self._late_ns = round(_LATE_PERIODS * self._dt_ns)
         self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.timing.control_hz), 1)
         self.wrenches: dict[int, Stamped] = {}  # the newest (6,) of each UAV
@@ -305,7 +306,7 @@ class RealTimeSim(SimNode):
             decode = in_order(checked_wrench, RealTimeStamps(self.now_ns))
             self.endpoints.listen(topics.wrench_setpoint(i), decode, partial(self._on_wrench, i))
         self._ticked = False
-        self._timer = node.create_timer(scenario.timing.dt_ns * 1e-9, self._on_tick)
+        self._timer = node.create_timer(seconds(scenario.timing.dt_ns), self._on_tick)
         self.rest_s = self._until_tick_s
         self.endpoints.last_word = self._on_status_timer
 
@@ -315,7 +316,7 @@ class RealTimeSim(SimNode):
 
     def _on_wrench(self, uav_id: int, wrench: Stamped) -> None:
         self.vehicles.wrenches[uav_id] = wrench
-        self.vehicles.latency.add((self.now_ns() - wrench.stamp_ns) * 1e-9)
+        self.vehicles.latency.add(seconds(self.now_ns() - wrench.stamp_ns))
 
     def _on_leg(self, leg: HeaderFields) -> None:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
@@ -329,7 +330,7 @@ class RealTimeSim(SimNode):
     def _on_tick(self) -> None:
         now_ns = self.now_ns()
         leg = self._epochs.at(now_ns)
-        self._world.mission_s = -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+        self._world.mission_s = -1.0 if leg is None else seconds(now_ns - leg.first_t0_ns)
         self.vehicles.tick(now_ns)
         self._ticked = True
         if leg is None:
@@ -344,7 +345,7 @@ class RealTimeSim(SimNode):
 
     def _until_tick_s(self) -> float | None:
         ticked, self._ticked = self._ticked, False
-        return self._timer.time_until_next_call() * 1e-9 if ticked else None
+        return seconds(self._timer.time_until_next_call()) if ticked else None
 
     def _on_status_timer(self) -> None:
         now_ns, vehicles = self.now_ns(), self.vehicles

@@ -26,6 +26,7 @@ from ptnsbc_core.agent import (
 )
 from ptnsbc_core.behaviours.neighbour import mean_parent
 from ptnsbc_core.kinematics import move_to_present
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
@@ -110,7 +111,7 @@ class Inbox:
         self._lost: set[int] = set()
         losses, faulty = senders.losses, senders.faults is not None
         # A fault adds MOST_DELAY_S at most.
-        most = round(MOST_DELAY_S * 1e9) // max(senders.period_ns, 1) if faulty else 0
+        most = nanoseconds(MOST_DELAY_S) // max(senders.period_ns, 1) if faulty else 0
 
         def queue(sender: int, is_lost: _IsLost | None) -> MessageQueue:
             delay, faults = senders.delays.get(sender, NO_DELAY), self._faults if faulty else ()
@@ -262,4 +263,4 @@ class Inbox:
 
 def _age_s(message: Stamped, now_ns: int) -> float:
     # A neighbour's clock may be a little ahead: a message from the future is fresh.
-    return max(now_ns - message.stamp_ns, 0) * 1e-9
+    return seconds(max(now_ns - message.stamp_ns, 0))

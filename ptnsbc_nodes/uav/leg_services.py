@@ -16,6 +16,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate
 from ptnsbc_nodes.comm import topics
@@ -152,7 +153,7 @@ class LegServices:
             return "not started: call /formation/start first"
         start_ns = self._start_ns()
         if start_ns is not None and not self._flight.epochs.announced:
-            ahead_s = (start_ns - self._clock.now_ns() - LEAD_NS) * 1e-9
+            ahead_s = seconds(start_ns - self._clock.now_ns() - LEAD_NS)
             if not 0.0 <= ahead_s <= _MOST_WAIT_S:
                 when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
                 return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
@@ -178,7 +179,7 @@ class LegServices:
         rows = [row(CANCEL, leg.name, "hold", leg) for leg in scenario.legs if leg.number == CANCEL]
         for number, block in enumerate(scenario.mission.legs, 1):
             rows.append(row(number, names[number - 1], block.kind, begun.get(number)))
-        now_s = None if flown is None else (now_ns - flown.first_t0_ns) * 1e-9
+        now_s = None if flown is None else seconds(now_ns - flown.first_t0_ns)
         return json.dumps({"now_s": now_s, "legs": rows})
 
     def _say(self, number: int) -> tuple[bool, str]:
@@ -216,4 +217,4 @@ class LegServices:
             self._flight.decider.decide(t0_ns)
         self._flight.epochs.announce(t0_ns, leg)
         self._publish(HeaderTemplate(leg).encode(t0_ns))
-        return f"leg {leg} from {t0_ns * 1e-9:.3f} s"
+        return f"leg {leg} from {seconds(t0_ns):.3f} s"

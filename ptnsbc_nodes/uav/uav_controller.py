@@ -17,6 +17,7 @@ import numpy as np
 from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     MODE_FORMATION,
@@ -239,7 +240,7 @@ class UavController:
     def odometry_stale(self, now_ns: int) -> bool:
         """Real time: True if the own odometry is too old to fly by; False before the first."""
         own = self.inbox.own
-        return own is not None and (now_ns - own.stamp_ns) * 1e-9 > self.config.stale_s
+        return own is not None and seconds(now_ns - own.stamp_ns) > self.config.stale_s
 
     def restart(self) -> None:
         """Forget all steps: the next step begins a new agent at the vehicle's position."""
@@ -261,15 +262,15 @@ class UavController:
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
         at = self._take_role(at, cutoff_ns)
-        start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
+        start_age_s = seconds(at.now_ns - at.first_t0_ns)
         inputs = self.inbox.pack_inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:
             self._agent = Agent(self.config, inputs.unpack().own)
             self._agent_config = self.config
             self.steps = 0
         self.steps += 1
-        dt = at.elapsed_ns * 1e-9
-        t = (at.now_ns - at.t0_ns) * 1e-9
+        dt = seconds(at.elapsed_ns)
+        t = seconds(at.now_ns - at.t0_ns)
         plugins, odometry = self._plugins, inputs.vector[OWN:PARENT]
         task = wanted = None
         if plugins.task is not None:
@@ -328,13 +329,13 @@ class SlotDecider:
         if len(self._newest) == len(self.scenario.uav_ids):
             self._epoch_ns = None
             positions = {uav: at_epoch(own, t0_ns) for uav, own in self._newest.items()}
-            since_s = (t0_ns - self._first_ns) * 1e-9
+            since_s = seconds(t0_ns - self._first_ns)
             self._announce(Decision(t0_ns, optimal_slots(self.scenario, positions, since_s)))
 
 
 def at_epoch(own: Stamped, t0_ns: int) -> Array:
     """Position (3,) [m], ENU, to which a UAV will have moved by the epoch, at the velocity that it measures."""
-    ahead_s = max(t0_ns - own.stamp_ns, 0) * 1e-9
+    ahead_s = seconds(max(t0_ns - own.stamp_ns, 0))
     found: Array = own.values[0:3] + ahead_s * np.array(velocity_enu(own.values))
     return found
 
@@ -404,7 +405,9 @@ class UavFlight:
             return ""
         if self.decided.of(leg.t0_ns) is not None:
             return ""
-        return f"holding: no slots of the epoch at {leg.t0_ns * 1e-9:.3f} s on {topics.SLOTS.name}"
+        return (
+            f"holding: no slots of the epoch at {seconds(leg.t0_ns):.3f} s on {topics.SLOTS.name}"
+        )
 
     def step(self, tick: Tick, start_ns: int) -> FlownStep:
         """Make the step of a tick; before the first leg its time counts from `start_ns`."""

@@ -10,6 +10,7 @@ import signal
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.announcements import OrderedFault
 from ptnsbc_nodes.uav.inbox import Inbox
@@ -54,7 +55,7 @@ class UavFaults:
         """A fault that begins now."""
         if self._lockstep and fault.rule.strikes == MESSAGES:
             return  # receivers would begin it at different ticks
-        flight_s = 0.0 if self._t0_ns is None else (now_ns - self._t0_ns) * 1e-9
+        flight_s = 0.0 if self._t0_ns is None else seconds(now_ns - self._t0_ns)
         self.injected.append(fault.model_copy(update={"at_s": round(flight_s, 1)}).text)
         del self.injected[:-_MOST_INJECTED]
         fault = fault.model_copy(update={"at_s": 0.0})
@@ -95,5 +96,5 @@ def _sent(own: Sequence[tuple[FaultBlock, int]], uav_id: int, message: Stamped) 
         if strikes(fault, "nan", uav_id, message.stamp_ns, t0_ns):
             values = without_position(values)
         elif strikes(fault, "clock_offset", uav_id, message.stamp_ns, t0_ns):
-            stamp_ns += round((fault.offset_s or 0.0) * 1e9)
+            stamp_ns += nanoseconds(fault.offset_s or 0.0)
     return Stamped(stamp_ns, values)

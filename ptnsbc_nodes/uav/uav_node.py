@@ -8,6 +8,7 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg
@@ -182,7 +183,7 @@ class UavNode:
         self._reported_missed = clock.pace.missed
         silent: list[int] = []
         if flying and not clock.lockstep:
-            stale_ns = round(controller.config.stale_s * 1e9)
+            stale_ns = nanoseconds(controller.config.stale_s)
             silent = flight.inbox.silent_estimates(stamp_ns, stale_ns)
         sight = PlannerSight(
             holding=flying and controller.counters.holding,

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from rclpy.node import Node
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
@@ -106,7 +107,7 @@ class Subscriptions:
         """Real time: odometry that the decision on the slots lacks."""
         if self._flight.decider is None or self._clock.lockstep:
             return []
-        stale_ns = round(self._flight.controller.config.stale_s * 1e9)
+        stale_ns = nanoseconds(self._flight.controller.config.stale_s)
         unknown = self._flight.decider.unknown(self._clock.now_ns() - stale_ns)
         return [full_name(self._node, topics.odom(uav)) for uav in unknown]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import MODE_FORMATION, Array
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
@@ -22,7 +23,6 @@ from ptnsbc_sim.scenario.slots import with_slots
 
 SILENT_S = 2.0
 """A process whose last status is older than this is shown as silent."""
-_NANO = 1e-9
 _KEPT_NS = 1_000_000_000
 _SILENT_NS = 500_000_000
 _READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
@@ -89,8 +89,8 @@ class FlightState:
         leg = self.leg
         t = since_s = left_s = None
         if leg is not None:
-            t = (self.stamp_ns - leg.first_t0_ns) * _NANO
-            since_s = (self.stamp_ns - leg.t0_ns) * _NANO
+            t = seconds(self.stamp_ns - leg.first_t0_ns)
+            since_s = seconds(self.stamp_ns - leg.t0_ns)
             if leg.mode == MODE_FORMATION:
                 left_s = float(self.scenario.gains.formation.deadline_s) - since_s
         states = self._states.at(self.stamp_ns)
@@ -292,7 +292,7 @@ class _Pace:
         if self._from is None or stamp_ns < self._from[0]:
             self._from = (stamp_ns, now_s)
         elif now_s - self._from[1] >= 1.0:
-            self._rate = (stamp_ns - self._from[0]) * _NANO / (now_s - self._from[1])
+            self._rate = seconds(stamp_ns - self._from[0]) / (now_s - self._from[1])
             self._from = (stamp_ns, now_s)
 
     def rate(self, now_s: float) -> float | None:

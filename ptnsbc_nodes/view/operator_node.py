@@ -22,6 +22,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
@@ -188,7 +189,7 @@ class MissionGoal(_Goal):
         if leg is None or (own and len(flown.words) == self._words):
             return False
         self._own = self._own or leg
-        now_s = (self._flight.stamp_ns - leg.first_t0_ns) * 1e-9
+        now_s = seconds(self._flight.stamp_ns - leg.first_t0_ns)
         from_s = flown.words[self._words].at_s if own else 0.0
         legs = [one for one in flown.legs if one.begin_s >= from_s]
         begun = [one for one in legs if one.begin_s <= now_s]

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, WrapValidator, model_validator
 
+from ptnsbc_core.nanoseconds import SECOND_NS, nanoseconds
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import (
@@ -37,8 +38,6 @@ from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
 from ptnsbc_sim.scenario.problems import ScenarioError
 
-NANOSECONDS = 1_000_000_000
-
 _PHASES = {"sin": 0.0, "cos": np.pi / 2}
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
@@ -59,7 +58,7 @@ class Timing(Block):
     @property
     def dt_ns(self) -> int:
         """Control period [ns], exact."""
-        return NANOSECONDS // self.control_hz
+        return SECOND_NS // self.control_hz
 
     @property
     def ticks(self) -> int:
@@ -397,12 +396,12 @@ class UavBlock(Block):
     @property
     def joins_ns(self) -> int:
         """The time at which it joins, after the first epoch [ns]; 0: it is there from the begin on."""
-        return 0 if self.joins_s is None else round(self.joins_s * NANOSECONDS)
+        return 0 if self.joins_s is None else nanoseconds(self.joins_s)
 
     @property
     def leaves_ns(self) -> int:
         """The time at which it leaves, after the first epoch [ns]."""
-        return NEVER_NS if self.leaves_s is None else round(self.leaves_s * NANOSECONDS)
+        return NEVER_NS if self.leaves_s is None else nanoseconds(self.leaves_s)
 
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:

@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ConfigDict, ValidationError
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_core.topology import Topology
 from ptnsbc_sim.scenario.approach.deadline import auto_deadline
 from ptnsbc_sim.scenario.fields import replaced
@@ -30,7 +31,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     streamed,
     takes_setpoints,
 )
-from ptnsbc_sim.scenario.model import NANOSECONDS, ScenarioFile, UavBlock
+from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.content import (
@@ -172,7 +173,7 @@ class Scenario(ScenarioFile):
     def landing_ns(self) -> int | None:
         """The time at which the leg `land` begins, after the first epoch [ns]; None without one."""
         begin_s = landing_s(self.legs)
-        return None if begin_s is None else round(begin_s * NANOSECONDS)
+        return None if begin_s is None else nanoseconds(begin_s)
 
     def bridged(self) -> Scenario:
         """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing.

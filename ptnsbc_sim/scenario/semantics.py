@@ -9,6 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
 from ptnsbc_core.errors import GainError, TopologyError
+from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire import MOST_NEAR_OBJECTS
@@ -31,7 +32,7 @@ from ptnsbc_sim.scenario.mission.legs import (
 )
 from ptnsbc_sim.scenario.mission.shapes import Reshaping
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_problems
-from ptnsbc_sim.scenario.model import NANOSECONDS, ScenarioFile, plant_of
+from ptnsbc_sim.scenario.model import ScenarioFile, plant_of
 from ptnsbc_sim.scenario.obstacles import bodies, obstacle_problems
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.requirements import requirement_problems
@@ -171,7 +172,7 @@ _CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVI
 def _timing(file: ScenarioFile) -> Problems:
     timing, fixes = file.timing, file.sensor.positioning
     hz = timing.control_hz
-    if NANOSECONDS % hz:
+    if SECOND_NS % hz:
         yield (
             f"timing.control_hz: {hz}: expected a rate whose period is a whole "
             "number of nanoseconds, such as 50, 100, 200, 250"

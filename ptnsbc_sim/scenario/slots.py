@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.topology import Topology, estimator_matrix, validated_topology
 from ptnsbc_core.types import NEVER_RECEIVED_S, Array
 from ptnsbc_sim.scenario.constants import places_beside_leader
@@ -150,7 +151,7 @@ class View:
 
     def pause(self, gap_ns: int) -> None:
         """The UAV has not stepped for so long [ns]: for the others it was lost, if that is too long."""
-        if gap_ns * 1e-9 > self._stale_s:
+        if seconds(gap_ns) > self._stale_s:
             self._away.add(self._uav)
 
     def at(self, since_ns: int, awake_ns: int, ages_s: Mapping[int, float]) -> Membership:
@@ -161,8 +162,8 @@ class View:
             awake_ns: the same since the first step of this process, if that was later.
             ages_s: ages [s] of the newest states of the others, NEVER_RECEIVED_S without one.
         """
-        early = awake_ns * 1e-9 <= self._stale_s
-        if (since_ns - awake_ns) * 1e-9 > self._stale_s:
+        early = seconds(awake_ns) <= self._stale_s
+        if seconds(since_ns - awake_ns) > self._stale_s:
             self._away.add(self._uav)
         absent = set()
         for uav, (joins, leaves) in self._spans.items():

@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_sim.scenario.approach.deadline import shortest_from
 from ptnsbc_sim.scenario.approach.path import EpochPlaces
 from ptnsbc_sim.verdict.encounters import ancestors
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
-from ptnsbc_sim.verdict.recording import NANO, Recording, seconds
+from ptnsbc_sim.verdict.recording import Recording, seconds_since
 from ptnsbc_sim.verdict.track import Track
 
 LONGEST_GAP_S = 0.25
@@ -54,7 +55,7 @@ def coverage(recording: Recording, uav: int) -> Coverage:
             longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
         last_ns = int(edges[-1])
     lost = missing(recording, uav, track)
-    return Coverage(lost, float(longest_ns) * NANO, float(at_ns - start_ns) * NANO)
+    return Coverage(lost, float(seconds(longest_ns)), float(seconds(at_ns - start_ns)))
 
 
 def missing(recording: Recording, uav: int, track: Track) -> int:
@@ -86,9 +87,9 @@ def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -
     timing, end_ns = recording.scenario.timing, recording.end_ns
     due_ns = recording.cut_off(recording.first_ns + timing.ticks * timing.dt_ns)
     # A flight of n periods ends with message n - 1.
-    if (due_ns - timing.dt_ns - end_ns) * NANO > LONGEST_GAP_S:
+    if seconds(due_ns - timing.dt_ns - end_ns) > LONGEST_GAP_S:
         first = min(recording.members.staying, key=lambda uav: recording.odometry[uav].last_ns)
-        lengths = (f"{(t_ns - recording.start_ns) * NANO:.2f} s" for t_ns in (end_ns, due_ns))
+        lengths = (f"{seconds(t_ns - recording.start_ns):.2f} s" for t_ns in (end_ns, due_ns))
         holes.append(f"/uav{first}/odom ends after {' of '.join(lengths)}")
     return ", ".join(holes)
 
@@ -96,9 +97,9 @@ def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -
 def silent_from_s(recording: Recording, uav: int) -> float | None:
     """Time after the epoch from which a UAV's process published no counters; None when it did to the end."""
     counters = recording.counters.get(uav)
-    if counters is None or (recording.end_ns - counters.last_ns) * NANO <= LOST_S:
+    if counters is None or seconds(recording.end_ns - counters.last_ns) <= LOST_S:
         return None
-    return float(counters.last_ns - recording.start_ns) * NANO
+    return float(seconds(counters.last_ns - recording.start_ns))
 
 
 def first_bad_s(recording: Recording, track: Track | None) -> float | None:
@@ -110,7 +111,7 @@ def first_bad_s(recording: Recording, track: Track | None) -> float | None:
             continue  # a sum of finite numbers may be infinite, one with NaN or inf is never finite
         bad = np.flatnonzero(~np.isfinite(block.values).all(axis=1))
         if bad.size:
-            return float(block.t_ns[bad[0]] - recording.start_ns) * NANO
+            return float(seconds(block.t_ns[bad[0]] - recording.start_ns))
     return None
 
 
@@ -328,7 +329,7 @@ def _too_short(figures: ErrorFigures) -> Reason | None:
     if not {uav, flown.leader.id} <= there:
         return None
     at = recording.at(np.array([start_ns]))
-    begin_s = float(seconds(at.stamps, recording.first_ns)[0])
+    begin_s = float(seconds_since(at.stamps, recording.first_ns)[0])
     places = {other: at.positions[other][0] for other in there}
     starts = EpochPlaces(places, {other: other for other in there}, begin_s)
     shortest = shortest_from(flown, starts, uav)

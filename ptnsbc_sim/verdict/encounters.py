@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.curves.turned import left_at
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.timebase import plan_duration
 from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
@@ -127,7 +128,7 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
         """A window, and the way back of the slowest of these UAVs."""
         begin, end = window
         back_s = max(lasts_s[uav](float(off[uav][place[end]])) for uav in uavs)
-        return Encounter(begin, end, end + round(back_s * 1e9))
+        return Encounter(begin, end, end + nanoseconds(back_s))
 
     result = {}
     for uav in scenario.uav_ids:
@@ -152,7 +153,7 @@ def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
     Without its leader that is everybody: until the loss is noticed, errors are measured from a vehicle that nobody
     leads, also those of UAVs that leave meanwhile.
     """
-    stale_ns = round(recording.scenario.communication.stale_s * 1e9)
+    stale_ns = nanoseconds(recording.scenario.communication.stale_s)
     for phase in recording.phases[1:]:
         if phase.moved:
             begin_ns = phase.begin_ns - stale_ns - recording.scenario.timing.dt_ns
@@ -189,7 +190,7 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
             plan = np.stack([along * x - across * y, across * x + along * y, up * z], axis=1)
             vectors = vectors - plan
         beside = lengths(vectors)
-        growing = np.maximum(beside[soon] - beside[now], 0.0) / (_GROWTH_NS * 1e-9)
+        growing = np.maximum(beside[soon] - beside[now], 0.0) / seconds(_GROWTH_NS)
         off[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
     return off
 

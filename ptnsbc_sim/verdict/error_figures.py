@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, is_cut_short
 from ptnsbc_sim.verdict.encounters import Encounter, inside
-from ptnsbc_sim.verdict.recording import NANO, Instants, Recording, counter_rise
+from ptnsbc_sim.verdict.recording import Instants, Recording, counter_rise
 from ptnsbc_sim.verdict.track import ValueAt, max_of
 
 SHARE_OF_START = 0.02
@@ -74,13 +75,13 @@ class ErrorFigures:
         self.deadline_s = deadline
         self._windows = windows
         start_ns = recording.start_ns
-        spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, _, b in self._windows]
+        spans = [(seconds(a - start_ns), seconds(b - start_ns)) for a, _, b in self._windows]
         # Only encounters that begin after the deadline are left out of the settling time.
         self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
         self.tolerance = tolerance
         self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
         self.regains = [
-            Regain((one.over_ns - start_ns) * NANO, (one.back_ns - one.over_ns) * NANO)
+            Regain(seconds(one.over_ns - start_ns), seconds(one.back_ns - one.over_ns))
             for one, (_, back_s) in zip(self._windows, spans, strict=True)
             if back_s > deadline
         ]
@@ -90,9 +91,9 @@ class ErrorFigures:
         # After which time past the deadline it is in the band outside encounters; None: never.
         self.regained_s: float | None = 0.0
         self._changes = _changes_due(recording, self._windows)
-        due_ns = recording.start_ns + round(deadline / NANO)
+        due_ns = recording.start_ns + nanoseconds(deadline)
         self.absent_s = sum(
-            max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0) * NANO
+            seconds(max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0))
             for one in recording.members.absences[uav]
         )
         self._last = _NONE  # time and error of the newest sample
@@ -149,7 +150,7 @@ class ErrorFigures:
 
     def rise(self, name: str, begin_s: float, end_s: float) -> float:
         """Rise of a counter of the UAV between two times after the epoch."""
-        begin_ns, end_ns = (self.recording.start_ns + round(t / NANO) for t in (begin_s, end_s))
+        begin_ns, end_ns = (self.recording.start_ns + nanoseconds(t) for t in (begin_s, end_s))
         return counter_rise(self.recording, self.uav, name, begin_ns, end_ns)
 
     @property
@@ -166,7 +167,7 @@ class ErrorFigures:
 
     def unregained(self) -> Regain | None:
         """The first encounter after which the place was not regained in the recovery time; None: none."""
-        period_s = self.recording.scenario.timing.dt_ns * NANO
+        period_s = seconds(self.recording.scenario.timing.dt_ns)
         for one in self.regains:
             if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
                 return one
@@ -225,11 +226,11 @@ def _changes_due(
             and not isinstance(leg.leg, LandLeg)
             and not is_cut_short(scenario.legs, leg)
         ]
-    before_s = (recording.start_ns - recording.first_ns) * NANO
+    before_s = seconds(recording.start_ns - recording.first_ns)
     for number, what, due_s in dues:
         if due_s - before_s <= scenario.gains.formation.deadline_s:
             continue
-        due_ns = recording.first_ns + round(due_s / NANO)
+        due_ns = recording.first_ns + nanoseconds(due_s)
         excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
         changes.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
     return changes

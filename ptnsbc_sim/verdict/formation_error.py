@@ -10,7 +10,7 @@ from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds
+from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds_since
 from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of
 
 
@@ -24,7 +24,7 @@ def formation_vectors(recording: Recording, block: Instants) -> dict[int, Array]
 
     Where another UAV leads from its slot o_l, p_1 is p_l - o_l.
     """
-    times = seconds(block.stamps, recording.first_ns)  # of the first leg
+    times = seconds_since(block.stamps, recording.first_ns)  # of the first leg
     parts = []
     for phase, span in by_phase(recording.phases, block.stamps):
         scenario = phase.scenario

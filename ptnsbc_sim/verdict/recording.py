@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS, counters_of, status_every
 from ptnsbc_sim.disturbances.faults import gone
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight
 
 
-NANO = 1e-9
 FORMATION = "form"  # name of the legs that have a deadline
 LANDING = "land"
 
@@ -48,7 +48,7 @@ class Absence(NamedTuple):
 
     def text(self, first_ns: int) -> str:
         """In words; times in seconds after the first epoch."""
-        begin, end = ((t_ns - first_ns) * NANO for t_ns in (self.begin_ns, self.end_ns))
+        begin, end = (seconds(t_ns - first_ns) for t_ns in (self.begin_ns, self.end_ns))
         if self.for_good:
             return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
         return (
@@ -94,7 +94,7 @@ def absences(
 
 
 def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
-    stale_ns, dt_ns = round(scenario.communication.stale_s / NANO), scenario.timing.dt_ns
+    stale_ns, dt_ns = nanoseconds(scenario.communication.stale_s), scenario.timing.dt_ns
     spans, last = [], first_ns
 
     def silence(heard_ns: int, again_ns: int) -> Absence:
@@ -186,7 +186,7 @@ def with_said(scenario: Scenario, epochs: Epochs) -> tuple[Scenario, Epochs]:
     legs = tuple(epoch for epoch in epochs if number_of(epoch[1]) is None)
     first_ns = first_formation_ns(legs)
     words = sorted(
-        Word(number, (t0_ns - first_ns) * NANO)
+        Word(number, seconds(t0_ns - first_ns))
         for t0_ns, leg in epochs
         if first_ns is not None and (number := number_of(leg)) is not None
     )
@@ -203,7 +203,7 @@ def with_taken(scenario: Scenario, epochs: Epochs, taken: Sequence[tuple[int, Ar
         return scenario
     try:
         return scenario.with_setpoints(
-            setpoint_of((stamp_ns - first_ns) * NANO, values) for stamp_ns, values in taken
+            setpoint_of(seconds(stamp_ns - first_ns), values) for stamp_ns, values in taken
         )
     except SetpointError as error:
         raise VerdictError(f"the setpoints that the leader has taken: {error}") from None
@@ -219,9 +219,9 @@ def with_landing(scenario: Scenario, epochs: Epochs) -> Epochs:
     return tuple(sorted((*epochs, (t0_ns, LANDING)))) if before[-1] == FORMATION else epochs
 
 
-def seconds(stamps: NDArray[np.int64], zero_ns: int) -> Array:
+def seconds_since(stamps: NDArray[np.int64], zero_ns: int) -> Array:
     """Seconds (T,) after an instant."""
-    return np.asarray((stamps - zero_ns) * NANO, dtype=np.float64)
+    return np.asarray(seconds(stamps - zero_ns), dtype=np.float64)
 
 
 class Instants(NamedTuple):
@@ -277,7 +277,7 @@ class Recording:
         if self.start_ns not in self.slots:
             raise VerdictError(
                 "the recording does not say who takes which slot: expected the slots of the epoch at "
-                f"{self.start_ns * NANO:.3f} s"
+                f"{seconds(self.start_ns):.3f} s"
             )
         return with_slots(self.scenario, self.slots[self.start_ns])
 
@@ -313,7 +313,7 @@ class Recording:
         """An end of the flight [ns], or that of the leg before it: the next epoch, or the end of the window."""
         later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
         if self.window_s is not None:
-            later.append(self.start_ns + round(self.window_s / NANO))
+            later.append(self.start_ns + nanoseconds(self.window_s))
         return min([last_ns, *later])
 
     @property
@@ -333,14 +333,14 @@ class Recording:
         positions = {
             uav: np.asfortranarray(source[uav].at(stamps, 3)) for uav in self.scenario.uav_ids
         }
-        return Instants(stamps, seconds(stamps, self.start_ns), positions)
+        return Instants(stamps, seconds_since(stamps, self.start_ns), positions)
 
     def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Instants]:
         """The instants between two times, both included, by default those of the leg; VerdictError when it has none."""
         if start_ns is None and self.samples < 2:
             raise VerdictError(
                 "the recording holds no formation flight: expected odometry of the leader after "
-                f"the epoch at {self.start_ns * NANO:.3f} s"
+                f"the epoch at {seconds(self.start_ns):.3f} s"
             )
         begin_ns = self.start_ns if start_ns is None else start_ns
         last_ns = self.end_ns if end_ns is None else end_ns

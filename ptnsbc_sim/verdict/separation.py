@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.verdict.recording import Instants, Recording, seconds
+from ptnsbc_sim.verdict.recording import Instants, Recording, seconds_since
 from ptnsbc_sim.verdict.track import lengths
 
 
@@ -86,7 +86,7 @@ class Separations:
 
     def add(self, block: Instants) -> None:
         """Take the next instants."""
-        times, positions = seconds(block.stamps, self._first_ns), block.positions
+        times, positions = seconds_since(block.stamps, self._first_ns), block.positions
         periods = np.diff(times, append=times[-1])
         for (a, b), pair in self._pairs.items():
             pair.add(times, periods, lengths(positions[a] - positions[b]))

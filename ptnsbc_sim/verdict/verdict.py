@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
 from ptnsbc_sim.verdict.deadline import (
@@ -31,12 +32,11 @@ from ptnsbc_sim.verdict.error_figures import ErrorFigures
 from ptnsbc_sim.verdict.formation_error import EstimatorError, EstimatorErrors, formation_errors
 from ptnsbc_sim.verdict.recording import (
     FORMATION,
-    NANO,
     Recording,
     VerdictError,
     counter_rise,
     require_all_uavs,
-    seconds,
+    seconds_since,
     tolerance_of,
 )
 from ptnsbc_sim.verdict.separation import Separation, Separations, intrusion, joined
@@ -80,7 +80,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         values = np.asfortranarray(block.values)  # axis by axis in memory
         force, torque = lengths(values[:, :3]), lengths(values[:, 3:])
         edges = np.concatenate((block.t_ns, [next_ns])).clip(start_ns, end_ns)
-        lasting_s = (edges[1:] - edges[:-1]) * NANO
+        lasting_s = seconds(edges[1:] - edges[:-1])
         square = torque**2
         energy += float(np.sum((force**2 + square) * lasting_s))
         above_hover += float(np.sum(((force - weight) ** 2 + square) * lasting_s))
@@ -95,7 +95,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         highest = int(np.argmax(whole))  # the first NaN, if there is one
         if whole[highest] > peak or np.isnan(whole[highest]) > np.isnan(peak):
             peak = float(whole[highest])
-            peak_at_s = float(seconds(block.t_ns[inside:], start_ns)[highest])
+            peak_at_s = float(seconds_since(block.t_ns[inside:], start_ns)[highest])
     if initial is None:
         return None
     return Effort(
@@ -225,7 +225,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         try:
             leg, pairs = _leg(later, tolerance)
         except VerdictError as error:
-            leg, pairs = LegVerdict(number + 1, later.start_ns * NANO, 0.0, str(error), ()), []
+            leg, pairs = LegVerdict(number + 1, seconds(later.start_ns), 0.0, str(error), ()), []
         legs.append(leg)
         parts.append(pairs)
     for start_ns, end_ns in legs_without_deadline(recording):
@@ -235,7 +235,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         parts.append(separations.results())
     efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
     closest = tuple(joined(parts))
-    begin_ns, end_ns = recording.start_ns, recording.start_ns + round(first.duration_s / NANO)
+    begin_ns, end_ns = recording.start_ns, recording.start_ns + nanoseconds(first.duration_s)
     missed = (counter_rise(recording, uav, "missed_ticks", begin_ns, end_ns) for uav in counters)
     violations = (
         float(track.rows(track.size - 1, track.size).values[0, _VIOLATION])
@@ -248,7 +248,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         profile=scenario.gains.profile,
         avoidance=scenario.formation.avoidance,
         judged_by=recording.judged_by,
-        epoch_s=recording.start_ns * NANO,
+        epoch_s=seconds(recording.start_ns),
         duration_s=first.duration_s,
         uavs=first.uavs,
         efforts=tuple(efforts),
@@ -282,8 +282,8 @@ def _leg(
         end_ns = int(block.stamps[-1])
     separations = pairs.results()
     judged = tuple(judge(of, covers, intrusion(separations, of.uav)) for of in figures.values())
-    duration_s = float(end_ns - recording.start_ns) * NANO
-    leg = LegVerdict(recording.leg + 1, recording.start_ns * NANO, duration_s, "", judged)
+    duration_s = float(seconds(end_ns - recording.start_ns))
+    leg = LegVerdict(recording.leg + 1, seconds(recording.start_ns), duration_s, "", judged)
     return leg, separations
 
 
@@ -317,7 +317,7 @@ def _mission_legs(
     if not scenario.legs:
         return ()
     # the last instant of the flight
-    end_s = (scenario.timing.ticks - 1) * scenario.timing.dt_ns * NANO
+    end_s = (scenario.timing.ticks - 1) * seconds(scenario.timing.dt_ns)
     end_s = end_s if recording.window_s is None else min(end_s, recording.window_s)
     until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]
     verdicts = []
@@ -342,7 +342,7 @@ def _mission_legs(
         elif errors is None:
             verdict, reason = CUT_SHORT, "by an operator"
         elif not errors:
-            last_s = (recording.last_ns - recording.first_ns) * NANO
+            last_s = seconds(recording.last_ns - recording.first_ns)
             verdict = VOID
             reason = f"the recording ends after {last_s:.2f} s, it was due at {leg.due_s:.2f} s"
         error_m, uav = (None, None) if worst is None else (worst.error_m, worst.uav)
@@ -363,7 +363,7 @@ def _errors(
             if uav.error_at_deadline_m is not None
         ]
     if isinstance(leg.leg, LandLeg):  # heights above the ground
-        due_ns = recording.first_ns + round(leg.due_s / NANO)
+        due_ns = recording.first_ns + nanoseconds(leg.due_s)
         if due_ns > recording.last_ns:
             return []
         ground_m, places = leg.leg.ground_m, recording.at(np.array([due_ns])).positions

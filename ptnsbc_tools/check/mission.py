@@ -10,6 +10,7 @@ import numpy as np
 
 from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.curves.trajectory import reference, reference_positions
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
@@ -236,7 +237,7 @@ def _lead(scenario: Scenario) -> Findings:
     free_s = None  # from when the first leader is away
     away: set[int] = set()
     spans = (span for uav in scenario.uav_ids for span in _gone_ns(scenario, uav, killed=True))
-    changes_s = {at_ns * 1e-9 for span in spans for at_ns in span}
+    changes_s = {seconds(at_ns) for span in spans for at_ns in span}
     for at_s in sorted(at for at in changes_s if 0.0 <= at < scenario.timing.duration_s):
         absent = _absent(scenario, at_s, killed=True)
         away |= absent
@@ -271,7 +272,7 @@ def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: se
 
 
 def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
-    at_ns = round(at_s * 1e9)
+    at_ns = nanoseconds(at_s)
     return {
         uav
         for uav in scenario.uav_ids
@@ -282,7 +283,7 @@ def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
 def _gone_ns(scenario: Scenario, uav: int, *, killed: bool) -> list[tuple[int, int]]:
     """The spans [ns] in which a UAV is away; `killed`: also those of faults that end its process."""
     found = [(0, scenario.uav(uav).joins_ns), (scenario.uav(uav).leaves_ns, NEVER_NS)]
-    stale_ns = round(float(scenario.communication.stale_s) * 1e9)
+    stale_ns = nanoseconds(float(scenario.communication.stale_s))
     for fault in modelled(scenario.faults) if killed else ():
         if fault.rule.strikes == PROCESS and fault.struck_uav == uav:
             since, until = fault.window_ns(0)

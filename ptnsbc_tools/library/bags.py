@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io import bag as bags
 from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.plugins.loader import PluginError
@@ -47,10 +48,10 @@ def trim(
     refuse_outside("begin_s", begin_s)
     refuse_outside("end_s", end_s)
     found = bags.read_bag(Path(bag))
-    first_ns = found.start_ns + round(begin_s * 1e9)
+    first_ns = found.start_ns + nanoseconds(begin_s)
     last_ns = found.end_ns
     if end_s is not None:
-        last_ns = found.start_ns + round(end_s * 1e9)
+        last_ns = found.start_ns + nanoseconds(end_s)
     with console.progress("trimming", progress) as advance:
         return repairs.trim(
             Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track, Verdict, VerdictError, verdict_on
 from ptnsbc_sim.verdict.encounters import Window, encounters, merged, rising
 from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.recording import NANO, seconds, tolerance_of
+from ptnsbc_sim.verdict.recording import seconds_since, tolerance_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 # The palette of Okabe and Ito, for all common kinds of colour blindness. On a dark page black and the darkest
@@ -236,7 +237,7 @@ class FlightView:
         last = min(track.last_ns for track in tracks)
         first = max(
             min(track.first_ns for track in tracks),
-            self.recording.start_ns - round(_BEFORE_S / NANO),
+            self.recording.start_ns - nanoseconds(_BEFORE_S),
         )
         begin, end = tracks[0].span(first, last)
         return (tracks[0], begin, end) if end - begin > 1 else (tracks[0], 0, tracks[0].size)
@@ -261,11 +262,11 @@ class FlightView:
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
-        return seconds(stamps, self.recording.start_ns)
+        return seconds_since(stamps, self.recording.start_ns)
 
     def seconds(self, window: Window) -> tuple[float, float]:
         """A window in seconds after the epoch."""
-        begin, end = ((edge - self.recording.start_ns) * NANO for edge in window)
+        begin, end = (seconds(edge - self.recording.start_ns) for edge in window)
         return begin, end
 
     def rising(self, uav: int, name: str) -> list[tuple[float, float]]:
@@ -345,7 +346,7 @@ def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
 def deadlines(flight: FlightView) -> tuple[Mark, ...]:
     """The deadline of each formation leg."""
     within = flight.scenario.gains.formation.deadline_s
-    begun = [(t0_ns - flight.recording.start_ns) * NANO for t0_ns in flight.recording.forms]
+    begun = [seconds(t0_ns - flight.recording.start_ns) for t0_ns in flight.recording.forms]
     return tuple(
         Mark(begin + within, f"deadline {within:g} s" + (f", leg {number}" if number > 1 else ""))
         for number, begin in enumerate(begun, start=1)
@@ -434,7 +435,7 @@ def obstacles(flight: FlightView) -> Chart | None:
     bodies = flight.scenario.world.bodies
     thinners = defaultdict[tuple[int, int], Thinner](lambda: Thinner(flight.samples))
     recording = flight.recording
-    later_s = (recording.start_ns - recording.first_ns) * NANO  # t counts from the judged leg
+    later_s = seconds(recording.start_ns - recording.first_ns)  # t counts from the judged leg
     for t, places in _positions(flight):
         for uav, (number, body) in product(flight.uavs, enumerate(bodies)):
             thinners[uav, number].add(t, body.distances(places[uav], t + later_s))
@@ -458,7 +459,7 @@ def _input(flight: FlightView, kind: str, until_s: float | None = None) -> Chart
     if until_s is not None:
         epoch_ns = flight.recording.start_ns
         first_ns = max(first_ns, epoch_ns)
-        last_ns = min(last_ns, epoch_ns + round(until_s / NANO))
+        last_ns = min(last_ns, epoch_ns + nanoseconds(until_s))
     for uav in flight.uavs:
         track = flight.recording.wrench.get(uav)
         begin, end = (0, 0) if track is None else track.span(first_ns, last_ns)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import (
     Diagnostics,
@@ -250,7 +251,7 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
     slots = {t0_ns: found for t0_ns, _ in epochs if (found := collector.slots.of(t0_ns))}
     if options.epoch_s is not None and odometry:
         first_ns = min(track.first_ns for track in odometry.values())
-        epochs = ((first_ns + round(options.epoch_s * 1e9), FORMATION),)
+        epochs = ((first_ns + nanoseconds(options.epoch_s), FORMATION),)
     scenario = with_taken(scenario, epochs, collector.taken)
     scenario, epochs = with_said(scenario, epochs)
     return Recording(

@@ -9,6 +9,7 @@ from typing import Any
 
 from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_io.wire import HeaderTemplate, Stamped, encode_clock, encode_near
@@ -71,7 +72,7 @@ class _StatusMessages:
         scenario = flight.scenario
         self._flight = flight
         self._every = status_every(scenario)
-        self._dt = scenario.timing.dt_ns * 1e-9
+        self._dt = seconds(scenario.timing.dt_ns)
         self._counters = [UavCounters() for _ in scenario.uav_ids]
         self._gone = gone(scenario)
         self._scene = Scene(scenario)
@@ -88,7 +89,7 @@ class _StatusMessages:
         for data in sorted(self._diagnostics(tick, stamp_ns)):
             yield topics.DIAGNOSTICS.name, data
         scenario, places = self._flight.scenario, self._flight.track.odometry[tick, :, 0:3]
-        obstacles = scenario.world.body_positions((tick * scenario.timing.dt_ns) * 1e-9)
+        obstacles = scenario.world.body_positions(seconds(tick * scenario.timing.dt_ns))
         yield topics.MARKERS.name, self._scene.markers(stamp_ns, places, obstacles)
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:

@@ -23,11 +23,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
 from ptnsbc_sim.verdict import Series, Track
-from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.charts import (
     COLOURS,
     DARK_COLOURS,
@@ -119,15 +119,15 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
     scenario, recording = flight.scenario, flight.recording
     first, last = flight.window_ns
     most = max(_MOST_POSES // len(flight.uavs), 2)
-    count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
+    count = min(int(seconds(last - first) * _FRAME_HZ) + 2, most)
     stamps = first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
     t = flight.times(stamps)
     poses = [_poses_of(recording.odometry[uav], stamps) for uav in flight.uavs]
     vector = leader_trajectory(scenario)
     path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
     path = np.stack([reference(vector, float(one)).position for one in path_t])
-    begins = [((t0_ns - recording.start_ns) * NANO, leg) for t0_ns, leg in recording.epochs]
-    flown_s, beside = np.maximum((stamps - recording.first_ns) * NANO, 0.0), {}
+    begins = [(seconds(t0_ns - recording.start_ns), leg) for t0_ns, leg in recording.epochs]
+    flown_s, beside = np.maximum(seconds(stamps - recording.first_ns), 0.0), {}
     if scenario.formation.moves:  # (F, 3), beside the leader
         beside = {
             uav: pack.add(places_beside_leader(scenario, uav, flown_s))
@@ -149,7 +149,7 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
             }
             for uav in flight.uavs
         ],
-        "obstacles": obstacles_of(scenario, (recording.start_ns - recording.first_ns) * NANO),
+        "obstacles": obstacles_of(scenario, seconds(recording.start_ns - recording.first_ns)),
     }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from ptnsbc_core.curves.shape import places
 from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import Lasting, Step, Stream
@@ -24,7 +25,6 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mavlink import Abort
-from ptnsbc_sim.scenario.model import NANOSECONDS
 
 _SOON_S = 0.5  # the predicted paths count so far ahead
 _TOO_NEAR_S = 0.2  # one odd message is no approach
@@ -194,7 +194,7 @@ class LeaderReference:
     def is_member(self, flight_s: float) -> bool:
         """True if the vehicle belongs to the formation by the scenario: it has joined, and has not left."""
         uav = self._scenario.uav(self._uav_id)
-        return uav.joins_ns <= flight_s * NANOSECONDS < uav.leaves_ns
+        return uav.joins_ns <= flight_s * SECOND_NS < uav.leaves_ns
 
     def places(self, flight_s: float) -> Array | None:
         """The places (K, 3) [m] that the vehicle may have to take where UAVs come and go; None elsewhere."""

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
+from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_sim.scenario.fields import Block, NotNegative, Number, Positive, UavId, Vec3
 
 FaultKind = Literal[
@@ -155,12 +156,12 @@ class FaultBlock(Block):
 
     def window_ns(self, t0_ns: int) -> tuple[int, int]:
         """First instant [ns], and the first after it; `t0_ns` is the first epoch."""
-        start_ns = t0_ns + round(self.at_s * 1e9)
+        start_ns = t0_ns + nanoseconds(self.at_s)
         if self.kind == "restart" and self.duration_s is None:
             return start_ns, start_ns + _RESTART_NS
         if self.duration_s is None:
             return start_ns, NEVER_NS
-        return start_ns, start_ns + round(self.duration_s * 1e9)
+        return start_ns, start_ns + nanoseconds(self.duration_s)
 
 
 def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
