@@ -198,21 +198,14 @@ def gain_of(gains: Gains, loop: Loop) -> LoopGain:
 
     Without a time base the gain is constant from the first instant: h_dot / (1 - h + inf) is 0, and c is 1.
     """
-    if not loop.time_base:
-        return LoopGain(
-            duration_s=float(loop.deadline_s),
-            residual=math.inf,
-            scale=float(loop.scale),
-            kappa=float(loop.kappa_1_s),
-            profile=PROFILES["paper"],
-        )
-    printed = loop.profile is None and gains.profile == "paper"
+    printed = loop.time_base and loop.profile is None and gains.profile == "paper"
+    profile = (loop.profile or gains.profile) if loop.time_base else "paper"
     return LoopGain(
         duration_s=float(loop.deadline_s),
-        residual=float(loop.residual),
+        residual=float(loop.residual) if loop.time_base else math.inf,
         scale=1.0 if printed else float(loop.scale),
         kappa=1.0 if printed else float(loop.kappa_1_s),
-        profile=PROFILES[loop.profile or gains.profile],
+        profile=PROFILES[profile],
     )
 
 

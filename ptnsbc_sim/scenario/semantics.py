@@ -271,6 +271,8 @@ def _formation(file: ScenarioFile) -> Problems:
             f"formation.sight_m: {formation.sight_m:g}: expected at most half of the smallest keep-out of a UAV "
             f"({least:g} m), or one UAV may be taken for another"
         )
+    for problem in trajectory_problems(file.leader.trajectory):
+        yield f"leader.trajectory.{problem}"
 
 
 def _changes(file: ScenarioFile) -> Problems:
@@ -286,11 +288,6 @@ def _changes(file: ScenarioFile) -> Problems:
 def _places(change: Reshaping, followers: tuple[int, ...], where: str) -> Problems:
     for uav in sorted(set(followers).symmetric_difference(change.offsets_m or followers)):
         yield f"{where}.offsets_m.{uav}: expected an offset of each follower {list(followers)}, and of no other UAV"
-
-
-def _trajectory(file: ScenarioFile) -> Problems:
-    for problem in trajectory_problems(file.leader.trajectory):
-        yield f"leader.trajectory.{problem}"
 
 
 def _leg_times(file: ScenarioFile) -> Problems:
@@ -455,7 +452,6 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _links,
     _parents,
     _formation,
-    _trajectory,
     requirement_problems,
     _changes,
     _leg_times,

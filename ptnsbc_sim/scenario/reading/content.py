@@ -123,18 +123,15 @@ def without_folder(tree: Tree) -> Tree:
     return _each_function(tree, lambda _, named: named.replace("\\", "/").rpartition("/")[2])
 
 
-def named_functions(tree: Tree) -> Tree:
-    """The law and the plug-ins that a scenario names, by kind."""
+def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
     plugins = tree.get("plugins")
     found = {"law": tree.get("law"), **(plugins if isinstance(plugins, dict) else {})}
-    return {kind: named for kind, named in found.items() if isinstance(named, str) and named}
-
-
-def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
-    named = {kind: changed(kind, one) for kind, one in named_functions(tree).items()}
+    named = {
+        kind: changed(kind, one) for kind, one in found.items() if isinstance(one, str) and one
+    }
     law = {"law": named.pop("law")} if "law" in named else {}
-    plugins = {"plugins": {**tree["plugins"], **named}} if named else {}
-    return {**tree, **law, **plugins} if law or plugins else tree
+    changes = {"plugins": {**tree["plugins"], **named}} if named else {}
+    return {**tree, **law, **changes}
 
 
 def refuse_functions(tree: Tree, source: str) -> None:
