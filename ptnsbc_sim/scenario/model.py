@@ -385,7 +385,7 @@ class UavBlock(Block):
 
     @property
     def disturbance(self) -> Disturbance:
-        """What acts on the UAV."""
+        """Forces and losses that act on the UAV."""
         waves = (*self.disturbance_m_s2, *self.disturbance_rad_s2)
         return Disturbance(
             np.array([wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]),

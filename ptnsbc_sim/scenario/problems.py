@@ -42,7 +42,7 @@ class ScenarioError(PtnsbcError):
 
 
 class Problem(NamedTuple):
-    """What does not fit in a scenario."""
+    """A key of a scenario that does not fit."""
 
     key: str
     value: str

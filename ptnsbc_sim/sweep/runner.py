@@ -300,7 +300,7 @@ def run(
 
 
 def held(folder: Path, plan: SweepPlan) -> str:
-    """Why the sweep in a folder cannot go on with this plan, in words; empty when it can, or there is none."""
+    """The reason why the sweep in a folder cannot go on with this plan; empty when it can, or there is none."""
     path, today = folder / PLAN, made_by(plan)
     if not path.is_file():
         return ""

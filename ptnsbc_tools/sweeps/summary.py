@@ -379,7 +379,7 @@ def flights_met(sweep: FlownSweep) -> Share:
 
 
 def shares(sweep: FlownSweep) -> dict[str, Share]:
-    """What was met in the UAVs and flights, by the keys of the JSON.
+    """Shares of UAVs and flights that met the deadline, by the keys of the JSON.
 
     UAVs of one flight are not independent. A deadlock is one in which avoidance left a UAV no way to its place for
     `gains.clearance.deadlock_s`.

@@ -1,4 +1,4 @@
-"""What moves in a flight, as tables of polynomials: the path of the leader through the legs, and places beside it.
+"""The moving parts of a flight, as tables of polynomials: the path of the leader through the legs, and places beside it.
 
 Between two knots the path has the position, velocity, acceleration and jerk of both, by a polynomial of degree 7
 (Hermite interpolation). From rest to rest that is the time profile of the method. A trajectory that the leader follows
