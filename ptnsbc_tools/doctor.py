@@ -17,7 +17,7 @@ from ptnsbc_core.compile_cache import cache_root, source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import ros
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, judge
 
 _LEAST_PYTHON, _NEXT_PYTHON = (3, 10), (3, 14)
 _LEAST_FREE_B = 2_000_000_000
@@ -30,19 +30,14 @@ _TRANSPORTS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTA
 Findings = Iterator[Finding]
 
 
-def _finding(key: str, value: str, limit: str, advice: str, severity: str = WARNING) -> Finding:
-    """What was found; of the severity where there is something to change, else good to know."""
-    return Finding(severity if advice else INFO, key, value, limit, advice)
-
-
 def _machine() -> Findings:
     good = _LEAST_PYTHON <= sys.version_info[:2] < _NEXT_PYTHON and platform.system() == "Linux"
     value = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
     advice = "" if good else "make setup PYTHON=python3.12"
-    yield _finding("platform", value, "Linux, Python 3.10 to 3.13", advice, ERROR)
+    yield judge("platform", value, "Linux, Python 3.10 to 3.13", advice, ERROR)
     count, limit = len(os.sched_getaffinity(0)), ">= 4 for a fleet in real time"
     advice = "fly in lock-step (--lockstep), or in one process (ptnsbc simulate)"
-    yield _finding("cores", str(count), limit, advice if count < 4 else "")
+    yield judge("cores", str(count), limit, advice if count < 4 else "")
     lateness_ms = []
     for _ in range(_WAKES):  # how late the kernel wakes a process that sleeps for a millisecond
         due_s = time.monotonic() + 1e-3
@@ -51,7 +46,7 @@ def _machine() -> Findings:
     late_ms = sorted(lateness_ms)[int(0.95 * _WAKES)]
     value, limit = f"{late_ms:.2f} ms late, 95 % of {_WAKES}", f"<= {_LATE_MS:g} ms"
     advice = "end other programs, or fly in lock-step" if late_ms > _LATE_MS else ""
-    yield _finding("timers", value, limit, advice)
+    yield judge("timers", value, limit, advice)
     # The kernel says whether something keeps the clock right; a fleet on one host does not need it.
     state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     good, limit = (
@@ -60,11 +55,11 @@ def _machine() -> Findings:
     )
     value = "synchronised" if good else "not synchronised, says the kernel"
     advice = "install chrony or start systemd-timesyncd; one host alone needs neither"
-    yield _finding("clock", value, limit, "" if good else advice)
+    yield judge("clock", value, limit, "" if good else advice)
     free = shutil.disk_usage(Path.cwd()).free
     value, limit = f"{free / 1e9:.1f} GB free here", f">= {_LEAST_FREE_B / 1e9:g} GB"
     advice = "record elsewhere: --bag DIR" if free < _LEAST_FREE_B else ""
-    yield _finding("disk", value, limit, advice)
+    yield judge("disk", value, limit, advice)
 
 
 def _middleware() -> Findings:
@@ -77,23 +72,23 @@ def _middleware() -> Findings:
 
             name = str(get_rmw_implementation_identifier())
     except PtnsbcError as error:
-        yield _finding("middleware", str(error), "rclpy", "only check, simulate and verify work")
+        yield judge("middleware", str(error), "rclpy", "only check, simulate and verify work")
         return
     value = f"{name}, rclpy from {Path(rclpy.__file__).parents[1]}"
     advice = "" if name == "rmw_fastrtps_cpp" else "unset RMW_IMPLEMENTATION"
-    yield _finding("middleware", value, "rmw_fastrtps_cpp, which is tested", advice)
+    yield judge("middleware", value, "rmw_fastrtps_cpp, which is tested", advice)
     given = {key: os.environ[key] for key in _TRANSPORTS if os.environ.get(key)}
     shown = ", ".join(f"{key}={value}" for key, value in given.items()) or "nothing set"
     wide = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
     advice = "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else ""
-    yield _finding("discovery", shown, "this host alone, unless --network", advice)
+    yield judge("discovery", shown, "this host alone, unless --network", advice)
     value, advice = "", ""
     try:
         with reserved_domain() as domain:
             value = f"{domain} is free"
     except (DomainError, OSError) as error:
         value, advice = str(error), "end other fleets"
-    yield _finding("domain", value, "one free ROS domain", advice, ERROR)
+    yield judge("domain", value, "one free ROS domain", advice, ERROR)
 
 
 def _cache() -> Findings:

@@ -17,7 +17,7 @@ from ptnsbc_sim.scenario.approach.deadline import (
 )
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_tools.check.finding import ERROR, WARNING, Findings, judge
 
 _SMOOTH_STEP = 1.0  # above this a sampled decay overshoots, above STABILITY_LIMIT it grows
 _RARE = 1e-3  # share of flights that may miss for their positioning alone, without a warning
@@ -47,17 +47,13 @@ def steps(scenario: Scenario) -> Findings:
     }
     for key, rate in rates.items():
         step = dt * rate
-        severity = ERROR if step >= STABILITY_LIMIT else WARNING if step > _SMOOTH_STEP else INFO
-        yield Finding(
-            severity,
-            key,
-            f"dt times gain {step:.2f}",
-            f"< {STABILITY_LIMIT:g}, smooth below {_SMOOTH_STEP:g}",
-            ""
-            if severity == INFO
-            else "lengthen its deadline, raise its residual, lower kappa, or raise "
-            "timing.control_hz",
+        severity = ERROR if step >= STABILITY_LIMIT else WARNING
+        advice = (
+            "lengthen its deadline, raise its residual, lower kappa, or raise timing.control_hz"
         )
+        limit = f"< {STABILITY_LIMIT:g}, smooth below {_SMOOTH_STEP:g}"
+        advice = advice if step > _SMOOTH_STEP else ""
+        yield judge(key, f"dt times gain {step:.2f}", limit, advice, severity)
 
 
 def order(scenario: Scenario) -> Findings:
@@ -67,63 +63,47 @@ def order(scenario: Scenario) -> Findings:
     for key in ("estimator", "force", "torque"):
         inner = getattr(gains, key).deadline_s
         if inner >= outer:
-            yield Finding(
-                WARNING,
-                f"gains.{key}.deadline_s",
-                f"{inner:g} s",
-                f"< gains.formation.deadline_s, {outer:g} s",
-                "an inner loop has to be done before the formation is; shorten it",
-            )
+            limit = f"< gains.formation.deadline_s, {outer:g} s"
+            advice = "an inner loop has to be done before the formation is; shorten it"
+            yield judge(f"gains.{key}.deadline_s", f"{inner:g} s", limit, advice)
 
 
 def printed(scenario: Scenario) -> Findings:
     """The printed gains on a quadrotor, which must tilt before it can accelerate sideways."""
     if scenario.gains.profile == "paper" and scenario.plant.kind == "quadrotor":
-        yield Finding(
-            WARNING,
-            "gains.profile",
-            "paper on a quadrotor",
-            "soft or reference, or plant.kind rigid_body_6dof",
-            "flown so, paper_5 saturates: no UAV meets the deadline, three of them are metres off",
+        limit = "soft or reference, or plant.kind rigid_body_6dof"
+        advice = (
+            "flown so, paper_5 saturates: no UAV meets the deadline, three of them are metres off"
         )
+        yield judge("gains.profile", "paper on a quadrotor", limit, advice)
 
 
 def changes(scenario: Scenario) -> Findings:
     """The changes of the shape against the limits of speed and acceleration, and against the deadline."""
-    found = scenario.formation.changes
-    if not found or not scenario.followers or scenario.mission is not None:
+    shapes = scenario.formation.changes
+    if not shapes or not scenario.followers or scenario.mission is not None:
         return
     left = limits_left_by_mission(scenario, 0.0, scenario.timing.duration_s)
-    short = min(left) <= 0
-    yield Finding(
-        ERROR if short else INFO,
-        "formation.changes",
-        f"they leave {left.speed_m_s:.2f} m/s and {left.acceleration_m_s2:.2f} m/s^2 of the limits",
-        "> 0",
-        "lengthen over_s, or bring the shapes closer together" if short else "",
+    value = (
+        f"they leave {left.speed_m_s:.2f} m/s and {left.acceleration_m_s2:.2f} m/s^2 of the limits"
     )
-    deadline = scenario.gains.formation.deadline_s
-    if found[0].at_s < deadline:
-        yield Finding(
-            WARNING,
-            "formation.changes[0].at_s",
-            f"{found[0].at_s:g} s",
-            f">= {deadline:g} s, gains.formation.deadline_s",
-            "let the first shape come about before it changes",
-        )
+    advice = "lengthen over_s, or bring the shapes closer together" if min(left) <= 0 else ""
+    yield judge("formation.changes", value, "> 0", advice, ERROR)
+    deadline, first_s = scenario.gains.formation.deadline_s, shapes[0].at_s
+    if first_s < deadline:
+        limit = f">= {deadline:g} s, gains.formation.deadline_s"
+        advice = "let the first shape come about before it changes"
+        yield judge("formation.changes[0].at_s", f"{first_s:g} s", limit, advice)
 
 
 def within_flight(scenario: Scenario) -> Findings:
     """True if the flight lasts until the deadline, and long enough to be judged after it."""
     deadline, duration = scenario.gains.formation.deadline_s, scenario.timing.duration_s
     if deadline >= duration:
-        yield Finding(
-            WARNING,
-            "timing.duration_s",
-            f"{duration:g} s: the flight ends before its deadline",
-            f"> {deadline:g} s, gains.formation.deadline_s",
-            "the verdict will be void: fly longer, or set an earlier deadline",
-        )
+        value = f"{duration:g} s: the flight ends before its deadline"
+        limit = f"> {deadline:g} s, gains.formation.deadline_s"
+        advice = "the verdict will be void: fly longer, or set an earlier deadline"
+        yield judge("timing.duration_s", value, limit, advice)
 
 
 def feasible(scenario: Scenario) -> Findings:
@@ -133,13 +113,9 @@ def feasible(scenario: Scenario) -> Findings:
     left = limits_left(scenario)
     if min(left) <= 0:
         speed, acceleration = left
-        yield Finding(
-            ERROR,
-            "gains.filter.max_speed_m_s" if speed <= 0 else "plant",
-            f"{speed if speed <= 0 else acceleration:.2f} left beside the leader's motion",
-            "> 0",
-            "slow the leader down, or raise the limit",
-        )
+        key = "gains.filter.max_speed_m_s" if speed <= 0 else "plant"
+        value = f"{speed if speed <= 0 else acceleration:.2f} left beside the leader's motion"
+        yield judge(key, value, "> 0", "slow the leader down, or raise the limit", ERROR)
         return
     away, (last, need_s) = start_errors(scenario), longest_need(scenario, left)
     short = 0
@@ -149,17 +125,12 @@ def feasible(scenario: Scenario) -> Findings:
     hundredths = 100.0 * need_s  # as it is printed: never rounded down
     shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else need_s
     too_short = f", too short for {short} of {len(away)} UAVs" if short else ""
-    yield Finding(
-        ERROR if short else INFO,
-        "gains.formation.deadline_s",
-        f"{deadline:g} s{too_short}; UAV {last} starts {away[last]:.2f} m from its place",
-        f">= {shortest:.2f} s, with {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2 "
-        "beside the leader's largest motion",
-        f"set gains.formation.deadline_s to at least {shortest:.2f} s or to auto, start it closer, "
-        "or raise gains.filter.max_speed_m_s"
-        if short
-        else "",
-    )
+    value = f"{deadline:g} s{too_short}; UAV {last} starts {away[last]:.2f} m from its place"
+    limits = f"{left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2"
+    limit = f">= {shortest:.2f} s, with {limits} beside the leader's largest motion"
+    longer = f"set gains.formation.deadline_s to at least {shortest:.2f} s or to auto"
+    advice = f"{longer}, start it closer, or raise gains.filter.max_speed_m_s" if short else ""
+    yield judge("gains.formation.deadline_s", value, limit, advice, ERROR)
 
 
 def leader_error_std_m(scenario: Scenario) -> float:
@@ -192,14 +163,10 @@ def positioning(scenario: Scenario) -> Findings:
     ratio = tolerance / sigma
     share = math.erfc(ratio / math.sqrt(2.0))
     share += math.sqrt(2.0 / math.pi) * ratio * math.exp(-0.5 * ratio * ratio)  # Maxwell
-    rare = share <= _RARE
-    yield Finding(
-        INFO if rare else WARNING,
-        "sensor.positioning",
+    value = (
         f"the leader is {1e3 * sigma:.1f} mm off per axis (standard deviation), "
-        f"and at the deadline outside {tolerance:g} m in {100 * share:.2g} % of flights",
-        f"<= {100 * _RARE:g} %",
-        ""
-        if rare
-        else f"raise formation.tolerance_m to {_RARE_SIGMAS * sigma:.3f} m, or take a receiver with less noise_m",
+        f"and at the deadline outside {tolerance:g} m in {100 * share:.2g} % of flights"
     )
+    larger = f"raise formation.tolerance_m to {_RARE_SIGMAS * sigma:.3f} m"
+    advice = "" if share <= _RARE else f"{larger}, or take a receiver with less noise_m"
+    yield judge("sensor.positioning", value, f"<= {100 * _RARE:g} %", advice)

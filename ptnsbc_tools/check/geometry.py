@@ -26,7 +26,7 @@ from ptnsbc_sim.scenario.constants import (
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings, judge
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
 _PATH_STEP_S = 0.05
@@ -37,26 +37,18 @@ _AWAY_M = (0.5, 1.0, 2.0)
 
 def graph(scenario: Scenario) -> Findings:
     """The tree, and the gain that the graph of the leader estimator needs."""
-    depth = max(scenario.topology.depth.values())
-    yield Finding(
-        INFO,
-        "communication.tree",
-        f"spanning tree, {len(scenario.uav_ids)} UAVs, depth {depth}",
-        "rooted at the leader",
-        "",
-    )
+    topology = scenario.topology
+    depth = max(topology.depth.values())
+    value = f"spanning tree, {len(scenario.uav_ids)} UAVs, depth {depth}"
+    yield judge("communication.tree", value, "rooted at the leader")
     if not scenario.followers:
         return
-    topology = scenario.topology
     peak = estimator_peak(scenario) / topology.lambda_min
     step = estimator_step(scenario, topology)
-    yield Finding(
-        WARNING if step > 0.75 * STABILITY_LIMIT else INFO,
-        "gains.estimator",
-        f"lambda_min(H) {topology.lambda_min:.3g}, peak gain {peak:.3g} 1/s, step {step:.2f}",
-        f"step < {STABILITY_LIMIT:g}",
-        "more leader_links raise lambda_min and lower the gain",
-    )
+    value = f"lambda_min(H) {topology.lambda_min:.3g}, peak gain {peak:.3g} 1/s, step {step:.2f}"
+    advice = "more leader_links raise lambda_min and lower the gain"
+    severity = WARNING if step > 0.75 * STABILITY_LIMIT else INFO
+    yield judge("gains.estimator", value, f"step < {STABILITY_LIMIT:g}", advice, severity)
 
 
 def shape(scenario: Scenario) -> Findings:
@@ -64,11 +56,10 @@ def shape(scenario: Scenario) -> Findings:
 
     A singular one is refused where the task alone closes the errors. The planned approach never hands over to it.
     """
-    if (
-        scenario.plugins.task is not None
-    ):  # the user's: loading the scenario has refused a singular one
+    if scenario.plugins.task is not None:  # loading the scenario has refused a singular one
         return
     task = scenario.formation.task
+    others = " or ".join(other for other in TASKS if other != task)
     threshold = scenario.gains.damping.threshold
     planned = scenario.formation.approach == "planned"
     for uav in scenario.followers:
@@ -85,18 +76,16 @@ def shape(scenario: Scenario) -> Findings:
             agent_config(scenario, uav).row_scale,
         )
         singular = not sigma >= (0.0 if planned else _SINGULAR)  # also when it is NaN
-        severity = ERROR if singular else WARNING if sigma < threshold else INFO
         otherwise = f", or relative positions hold UAV {uav}" if planned else " or it is damped"
-        yield Finding(
-            severity,
-            f"formation.offsets_m.{uav}",
-            f"sigma_min of task {task} {sigma:.3f}",
-            f">= {_SINGULAR:g}" if singular else f">= {threshold:g}{otherwise}",
-            ""
-            if severity == INFO
-            else f"move UAV {uav} off the singular shape (for distance_angles a right angle at the "
-            f"reference), or use formation.task: {' or '.join(other for other in TASKS if other != task)}",
+        value = f"sigma_min of task {task} {sigma:.3f}"
+        limit = f">= {_SINGULAR:g}" if singular else f">= {threshold:g}{otherwise}"
+        advice = (
+            f"move UAV {uav} off the singular shape (for distance_angles a right angle at the "
+            f"reference), or use formation.task: {others}"
         )
+        advice = advice if singular or sigma < threshold else ""
+        severity = ERROR if singular else WARNING
+        yield judge(f"formation.offsets_m.{uav}", value, limit, advice, severity)
 
 
 def spacing(scenario: Scenario) -> Findings:
@@ -107,25 +96,16 @@ def spacing(scenario: Scenario) -> Findings:
         "uavs position_m": {uav: scenario.uav(uav).position for uav in scenario.uav_ids},
     }
     for key, where in positions.items():
-        pairs = [
-            (
-                a,
-                b,
-                float(np.linalg.norm(where[a] - where[b])),
-                scenario.keep_out_between(a, b) + margin,
-            )
-            for a, b in combinations(scenario.uav_ids, 2)
-        ]
+        pairs = []
+        for a, b in combinations(scenario.uav_ids, 2):
+            distance = float(np.linalg.norm(where[a] - where[b]))
+            pairs.append((a, b, distance, scenario.keep_out_between(a, b) + margin))
         near = [pair for pair in pairs if pair[2] < pair[3]]
         closest = sorted(pairs, key=lambda pair: pair[2] - pair[3])[:1]
+        advice = "move them apart, or lower formation.uav_keep_out_m" if near else ""
         for a, b, distance, least in near or closest:
-            yield Finding(
-                ERROR if near else INFO,
-                key,
-                f"UAV {a} and UAV {b} {distance:.2f} m apart",
-                f">= {least:g} m",
-                "move them apart, or lower formation.uav_keep_out_m" if near else "",
-            )
+            value = f"UAV {a} and UAV {b} {distance:.2f} m apart"
+            yield judge(key, value, f">= {least:g} m", advice, ERROR)
 
 
 def moving_spacing(scenario: Scenario) -> Findings:
@@ -145,13 +125,10 @@ def moving_spacing(scenario: Scenario) -> Findings:
     keep_out = scenario.keep_out_between(a, b) + margin
     first = int(np.argmin(gaps[a, b]))
     least = float(gaps[a, b][first])
-    yield Finding(
-        ERROR if least < keep_out else INFO,
-        key if scenario.formation.changes else "formation.frame",
-        f"the places of UAV {a} and UAV {b} come as close as {least:.2f} m at t = {times[first]:.1f} s",
-        f">= {keep_out:g} m",
-        "widen the shapes, or go through another one" if least < keep_out else "",
-    )
+    key = key if scenario.formation.changes else "formation.frame"
+    value = f"the places of UAV {a} and UAV {b} come as close as {least:.2f} m at t = {times[first]:.1f} s"
+    advice = "widen the shapes, or go through another one" if least < keep_out else ""
+    yield judge(key, value, f">= {keep_out:g} m", advice, ERROR)
 
 
 def starts_clear(scenario: Scenario) -> Findings:
@@ -161,31 +138,24 @@ def starts_clear(scenario: Scenario) -> Findings:
             start = scenario.uav(uav).position[None]
             distance = float(obstacle.distances(start, np.zeros(1))[0])
             if distance < obstacle.keep_out_m:
-                yield Finding(
-                    ERROR,
-                    f"uavs[{index}].position_m",
-                    f"UAV {uav} starts {distance:.2f} m from {obstacle.name}",
-                    f">= {obstacle.keep_out_m:g} m",
-                    "start it outside, or lower the obstacle's keep_out_m",
-                )
+                value = f"UAV {uav} starts {distance:.2f} m from {obstacle.name}"
+                limit = f">= {obstacle.keep_out_m:g} m"
+                advice = "start it outside, or lower the obstacle's keep_out_m"
+                yield judge(f"uavs[{index}].position_m", value, limit, advice, ERROR)
 
 
 def encounters(scenario: Scenario) -> Findings:
     """Obstacles on the path of the formation after the deadline."""
-    deadline = scenario.gains.formation.deadline_s
+    deadline, duration_s = scenario.gains.formation.deadline_s, scenario.timing.duration_s
     scenario = with_slots_of_starts(scenario)
-    if scenario.timing.duration_s <= deadline or not scenario.world.bodies:
+    if duration_s <= deadline or not scenario.world.bodies:
         return
-    step_s = max(_PATH_STEP_S, (scenario.timing.duration_s - deadline) / _MOST_STEPS)
+    step_s = max(_PATH_STEP_S, (duration_s - deadline) / _MOST_STEPS)
     if step_s > _PATH_STEP_S:
-        yield Finding(
-            WARNING,
-            "timing.duration_s",
-            f"{scenario.timing.duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path",
-            f"<= {deadline + _MOST_STEPS * _PATH_STEP_S:g} s, to look every {_PATH_STEP_S:g} s",
-            "check a shorter flight on the same path",
-        )
-    times = np.arange(deadline, scenario.timing.duration_s, step_s)
+        value = f"{duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path"
+        limit = f"<= {deadline + _MOST_STEPS * _PATH_STEP_S:g} s, to look every {_PATH_STEP_S:g} s"
+        yield judge("timing.duration_s", value, limit, "check a shorter flight on the same path")
+    times = np.arange(deadline, duration_s, step_s)
     path = reference_positions(leader_trajectory(scenario), times)
     off = scenario.formation.avoidance == "off"
     for obstacle in scenario.world.bodies:
@@ -199,13 +169,11 @@ def encounters(scenario: Scenario) -> Findings:
             speed = float(np.linalg.norm(np.gradient(path + beside, times, axis=0), axis=1).max())
             if not off:
                 yield from _sight(scenario, obstacle.name, uav, obstacle.keep_out_m, speed)
-            yield Finding(
-                WARNING if off else INFO,
-                f"world.obstacles {obstacle.name}",
-                f"meets UAV {uav} from t = {first:.1f} s, closest {distance[closest]:.2f} m",
-                f">= {obstacle.keep_out_m:g} m",
-                "set formation.avoidance: set_based" if off else "avoided in flight",
-            )
+            value = f"meets UAV {uav} from t = {first:.1f} s, closest {distance[closest]:.2f} m"
+            limit = f">= {obstacle.keep_out_m:g} m"
+            advice = "set formation.avoidance: set_based" if off else "avoided in flight"
+            severity = WARNING if off else INFO
+            yield judge(f"world.obstacles {obstacle.name}", value, limit, advice, severity)
 
 
 def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: float) -> Findings:
@@ -216,13 +184,11 @@ def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: fl
     most = sight_speed(config, keep_out_m)
     if speed > most:
         needed = keep_out_m + config.margin_m + speed * late + speed * speed / (2.0 * braking)
-        yield Finding(
-            WARNING,
-            "sensor.range_m",
-            f"UAV {uav} flies towards {name} at up to {speed:.2f} m/s, and sees it {room:.2f} m before its keep-out",
-            f"<= {most:.2f} m/s, from which it can stop there",
-            f"slow the leader down, or raise sensor.range_m to {needed:.2f} m",
-        )
+        flies = f"UAV {uav} flies towards {name} at up to {speed:.2f} m/s"
+        value = f"{flies}, and sees it {room:.2f} m before its keep-out"
+        limit = f"<= {most:.2f} m/s, from which it can stop there"
+        advice = f"slow the leader down, or raise sensor.range_m to {needed:.2f} m"
+        yield judge("sensor.range_m", value, limit, advice)
 
 
 def recovery(scenario: Scenario) -> Findings:
@@ -232,13 +198,12 @@ def recovery(scenario: Scenario) -> Findings:
         return
     times = ", ".join(f"{recovery_s(scenario, away):.2f} s" for away in _AWAY_M)
     ways = ", ".join(f"{away:g}" for away in _AWAY_M)
-    yield Finding(
-        INFO,
+    key, value = (
         "formation.recovery_s",
         f"after an encounter that left it {ways} m off a UAV is back in {times}",
-        f">= {formation.recovery_s:g} s, and what speed and acceleration need",
-        "",
     )
+    limit = f">= {formation.recovery_s:g} s, and what speed and acceleration need"
+    yield judge(key, value, limit)
     leader, _ = leader_motion(scenario)
     if leader <= 0.0:
         return
@@ -247,13 +212,12 @@ def recovery(scenario: Scenario) -> Findings:
         config = clearance_config(scenario, uav)
         most = sight_speed(config, _largest_keep_out_m(scenario), back.acceleration)
         if leader + back.speed > most:
-            yield Finding(
-                INFO,
-                "formation.recovery_s",
-                f"beside a leader at {leader:.2f} m/s UAV {uav} comes back at up to {back.speed:.2f} m/s",
-                f"<= {most:.2f} m/s together, from which it can stop before what stands in its way",
-                "slow the leader down, or raise sensor.range_m",
+            comes = f"UAV {uav} comes back at up to {back.speed:.2f} m/s"
+            value = f"beside a leader at {leader:.2f} m/s {comes}"
+            limit = (
+                f"<= {most:.2f} m/s together, from which it can stop before what stands in its way"
             )
+            yield judge(key, value, limit, "slow the leader down, or raise sensor.range_m", INFO)
             return
 
 
@@ -264,15 +228,11 @@ def _largest_keep_out_m(scenario: Scenario) -> float:
 
 def sensor(scenario: Scenario) -> Findings:
     """Range of the near-object sensor against the largest keep-out distance."""
-    reach = _largest_keep_out_m(scenario)
-    if scenario.sensor.range_m <= reach:
-        yield Finding(
-            ERROR,
-            "sensor.range_m",
-            f"{scenario.sensor.range_m:g} m",
-            f"> {reach:g} m, the largest keep-out",
-            "raise sensor.range_m, or nothing is seen before it is too close",
-        )
+    reach, range_m = _largest_keep_out_m(scenario), scenario.sensor.range_m
+    if range_m <= reach:
+        limit = f"> {reach:g} m, the largest keep-out"
+        advice = "raise sensor.range_m, or nothing is seen before it is too close"
+        yield judge("sensor.range_m", f"{range_m:g} m", limit, advice, ERROR)
 
 
 def least_distance(first: Array, last: Array) -> float:
@@ -295,31 +255,17 @@ def slots(scenario: Scenario) -> Findings:
     ends = [min(float(np.linalg.norm(apart)) for apart in end) for end in (first, last)]
     keep_out_m = scenario.widest_keep_out_m
     needed = math.sqrt(2.0) * keep_out_m
-    yield Finding(
-        INFO if min(ends) >= needed else WARNING,
-        "formation.assignment",
-        f"starts {ends[0]:.2f} m apart or more, slots {ends[1]:.2f} m",
-        f">= {needed:.2f} m, which keeps all paths {keep_out_m:g} m apart",
-        "" if min(ends) >= needed else "start farther apart, or widen the formation",
-    )
+    key, wider = "formation.assignment", "start farther apart, or widen the formation"
+    value = f"starts {ends[0]:.2f} m apart or more, slots {ends[1]:.2f} m"
+    limit = f">= {needed:.2f} m, which keeps all paths {keep_out_m:g} m apart"
+    yield judge(key, value, limit, "" if min(ends) >= needed else wider)
     gaps = [least_distance(*ways) for ways in zip(first, last, strict=True)]
     least, (a, b) = min(zip(gaps, pairs, strict=True))
-    near = least < keep_out_m
-    yield Finding(
-        WARNING if near else INFO,
-        "formation.assignment",
-        f"UAV {a} and UAV {b} come as close as {least:.2f} m on their ways",
-        f">= {keep_out_m:g} m",
-        "start farther apart, or widen the formation" if near else "",
-    )
+    value = f"UAV {a} and UAV {b} come as close as {least:.2f} m on their ways"
+    yield judge(key, value, f">= {keep_out_m:g} m", wider if least < keep_out_m else "")
     if scenario.formation.approach == "task":
-        yield Finding(
-            WARNING,
-            "formation.approach",
-            "task",
-            "planned, where slots are open",
-            "the paths of a task are not straight and keep no distance",
-        )
+        advice = "the paths of a task are not straight and keep no distance"
+        yield judge("formation.approach", "task", "planned, where slots are open", advice)
 
 
 def turn(scenario: Scenario) -> Findings:
@@ -329,11 +275,7 @@ def turn(scenario: Scenario) -> Findings:
         return
     pairs = planned_pairs(scenario)
     straight, turned = (float(distances(pairs, one).min()) for one in (0.0, angle))
-    near = turned < scenario.widest_keep_out_m
-    yield Finding(
-        WARNING if near else INFO,
-        "formation.turn_rad",
-        f"{angle:.2f}: planned paths come as close as {turned:.2f} m, straight ones {straight:.2f} m",
-        f">= {scenario.widest_keep_out_m:g} m",
-        "leave formation.turn_rad out" if near else "",
-    )
+    keep_out_m = scenario.widest_keep_out_m
+    value = f"{angle:.2f}: planned paths come as close as {turned:.2f} m, straight ones {straight:.2f} m"
+    advice = "leave formation.turn_rad out" if turned < keep_out_m else ""
+    yield judge("formation.turn_rad", value, f">= {keep_out_m:g} m", advice)

@@ -21,7 +21,7 @@ from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, TakeOffLeg, Word, l
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_sim.scenario.slots import Formations, Membership
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Findings, judge
 from ptnsbc_tools.check.geometry import moving_spacing
 
 
@@ -33,22 +33,13 @@ def legs(scenario: Scenario) -> Findings:
         if isinstance(one.leg, FormLeg) and one.number == FIRST:
             continue  # checks of the deadline are about it
         room = leg_room(scenario, one, end_s)
-        yield Finding(
-            ERROR if room.advice else INFO,
-            f"mission.legs[{one.number - 1}]",
-            room.found,
-            room.limit,
-            room.advice,
-        )
+        key = f"mission.legs[{one.number - 1}]"
+        yield judge(key, room.found, room.limit, room.advice, ERROR)
     late = [one for one in found if one.due_s > scenario.timing.duration_s]
     if late:
-        yield Finding(
-            WARNING,
-            "timing.duration_s",
-            f"{scenario.timing.duration_s:g} s, leg {late[0].name} is due at {late[0].due_s:.2f} s",
-            f">= {late[-1].due_s:.2f} s",
-            "fly for longer, or begin the leg earlier",
-        )
+        leg = f"leg {late[0].name} is due at {late[0].due_s:.2f} s"
+        value, limit = f"{scenario.timing.duration_s:g} s, {leg}", f">= {late[-1].due_s:.2f} s"
+        yield judge("timing.duration_s", value, limit, "fly for longer, or begin the leg earlier")
 
 
 def words(scenario: Scenario) -> Findings:
@@ -59,13 +50,9 @@ def words(scenario: Scenario) -> Findings:
         said = said.with_words((*said.words, Word(last.number + 1, last.end_s)))
     if mission is None or first == len(said.legs):
         return
-    yield Finding(
-        INFO,
-        f"mission.legs[{first}].on",
-        f"{leg_names(mission)[first]} waits for a word",
-        "without one neither it nor a leg after it is flown, headless as in a fleet",
-        "",
-    )
+    value = f"{leg_names(mission)[first]} waits for a word"
+    limit = "without one neither it nor a leg after it is flown, headless as in a fleet"
+    yield judge(f"mission.legs[{first}].on", value, limit)
     for one in (legs, moving_spacing, trajectory):
         known = set(one(scenario))
         for finding in one(said):
@@ -85,42 +72,29 @@ def _extremes(scenario: Scenario) -> Findings:
     """Speed, acceleration, jerk and turn against what the vehicle follows."""
     path = scenario.leader.trajectory
     most, limits = extremes(path, scenario.timing.duration_s), scenario.gains.filter
-    jerk_limit = (
-        scenario.world.gravity_m_s2 * limits.max_rate_rad_s
-    )  # a quadrotor has to tilt for it
-    tilts = scenario.plant.kind == "quadrotor"
-    rough = tilts and most.jerk_m_s3 > jerk_limit > 0.0
-    yield Finding(
-        WARNING if rough else INFO,
-        _KEY,
-        f"at most {most.speed_m_s:.3g} m/s, {most.acceleration_m_s2:.3g} m/s^2, {most.jerk_m_s3:.3g} m/s^3",
-        f"jerk <= {jerk_limit:.3g} m/s^3, gravity times gains.filter.max_rate_rad_s"
-        if tilts
-        else "speed and acceleration below the limits of gains.filter",
-        "slow it down, or use through: minimum_snap" if rough else "",
-    )
+    value = f"at most {most.speed_m_s:.3g} m/s, {most.acceleration_m_s2:.3g} m/s^2, {most.jerk_m_s3:.3g} m/s^3"
+    limit, advice = "speed and acceleration below the limits of gains.filter", ""
+    if scenario.plant.kind == "quadrotor":  # it has to tilt
+        jerk_limit = scenario.world.gravity_m_s2 * limits.max_rate_rad_s
+        limit = f"jerk <= {jerk_limit:.3g} m/s^3, gravity times gains.filter.max_rate_rad_s"
+        if most.jerk_m_s3 > jerk_limit > 0.0:
+            advice = "slow it down, or use through: minimum_snap"
+    yield judge(_KEY, value, limit, advice)
     if most.jump_m_s > _JUMP_M_S:
-        yield Finding(
-            WARNING,
-            _KEY,
-            f"its velocity jumps by {most.jump_m_s:.3g} m/s",
-            f"<= {_JUMP_M_S:g} m/s",
-            "let the rows of the file begin and end at rest, or end the flight before them",
-        )
+        value = f"its velocity jumps by {most.jump_m_s:.3g} m/s"
+        advice = "let the rows of the file begin and end at rest, or end the flight before them"
+        yield judge(_KEY, value, f"<= {_JUMP_M_S:g} m/s", advice)
     if getattr(path, "heading", "fixed") == "path":
         still = most.slowest_m_s < _LEAST_SPEED_M_S
-        fast = most.turn_rad_s > limits.max_rate_rad_s
-        yield Finding(
-            ERROR if still else WARNING if fast else INFO,
-            f"{_KEY}.heading",
-            f"path: horizontal speed down to {most.slowest_m_s:.3g} m/s, turns by up to {most.turn_rad_s:.3g} rad/s",
-            f">= {_LEAST_SPEED_M_S:g} m/s, <= {limits.max_rate_rad_s:g} rad/s",
-            "a path has no heading where it stands still: set heading: fixed, or yaws_rad"
-            if still
-            else "widen its curves, or slow it down"
-            if fast
-            else "",
-        )
+        slowest = f"horizontal speed down to {most.slowest_m_s:.3g} m/s"
+        value = f"path: {slowest}, turns by up to {most.turn_rad_s:.3g} rad/s"
+        limit = f">= {_LEAST_SPEED_M_S:g} m/s, <= {limits.max_rate_rad_s:g} rad/s"
+        advice = ""
+        if still:
+            advice = "a path has no heading where it stands still: set heading: fixed, or yaws_rad"
+        elif most.turn_rad_s > limits.max_rate_rad_s:
+            advice = "widen its curves, or slow it down"
+        yield judge(f"{_KEY}.heading", value, limit, advice, ERROR if still else WARNING)
 
 
 def _outside(places: Array, fence: Geofence) -> Array:
@@ -136,10 +110,8 @@ def _outside(places: Array, fence: Geofence) -> Array:
 
 def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
-    times, block = (
-        np.linspace(0.0, scenario.timing.duration_s, _SAMPLES),
-        scenario.leader.trajectory,
-    )
+    times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
+    block = scenario.leader.trajectory
     if isinstance(block, SetpointTrajectory) and scenario.takes_setpoints:
         corners = itertools.product(*zip(block.low_m, block.high_m, strict=True))
         path = np.array(list(corners), dtype=np.float64)  # (8, 3) of the region
@@ -151,26 +123,19 @@ def _region(scenario: Scenario) -> Findings:
     up = times >= up_s
     heights = {uav: float(at[up, 2].min(initial=np.inf)) for uav, at in places.items()}
     lowest = min(heights, key=lambda uav: heights[uav])
-    height = heights[lowest]
-    yield Finding(
-        ERROR if height <= 0.0 else INFO,
-        _KEY,
-        f"the place of UAV {lowest} comes down to {height:.2f} m",
-        "> 0 m, the ground",
-        "raise the trajectory, or the formation" if height <= 0.0 else "",
-    )
-    outside = {
-        uav: float(_outside(at, scenario.mavlink.geofence).max()) for uav, at in places.items()
-    }
+    value = f"the place of UAV {lowest} comes down to {heights[lowest]:.2f} m"
+    advice = "raise the trajectory, or the formation" if heights[lowest] <= 0.0 else ""
+    yield judge(_KEY, value, "> 0 m, the ground", advice, ERROR)
+    fence = scenario.mavlink.geofence
+    outside = {uav: float(_outside(at, fence).max()) for uav, at in places.items()}
     uav = max(outside, key=lambda one: outside[one])
     if outside[uav] > 0.0:
-        yield Finding(
-            ERROR,
-            "mavlink.geofence",
-            f"the place of UAV {uav} goes {outside[uav]:.2f} m outside",
+        value = f"the place of UAV {uav} goes {outside[uav]:.2f} m outside"
+        limit, advice = (
             "every place of the formation inside",
             "widen the fence, or move the trajectory",
         )
+        yield judge("mavlink.geofence", value, limit, advice, ERROR)
 
 
 def trajectory(scenario: Scenario) -> Findings:
@@ -186,49 +151,37 @@ def membership(scenario: Scenario) -> Findings:
     yield from _times(scenario)
     yield from _lead(scenario)
     if scenario.formation.vacancy == "close_up" and max(scenario.topology.depth.values()) < 2:
-        yield Finding(
-            WARNING,
-            "formation.vacancy",
-            "close_up, and no UAV of communication.tree is behind a follower",
-            "a tree with lines, along which UAVs move up",
-            "set keep, which does the same here, or let followers have parents among them",
-        )
+        value = "close_up, and no UAV of communication.tree is behind a follower"
+        limit = "a tree with lines, along which UAVs move up"
+        advice = "set keep, which does the same here, or let followers have parents among them"
+        yield judge("formation.vacancy", value, limit, advice)
 
 
 def _times(scenario: Scenario) -> Findings:
-    """The times of the UAVs against the length of the flight."""
+    """The times of the UAVs against the length of the flight, and against the way to the place at its limits."""
     end_s = scenario.timing.duration_s
     for index, uav in enumerate(scenario.uavs):
         for verb in ("joins", "leaves"):
             key, at_s = f"{verb}_s", getattr(uav, f"{verb}_s")
             if at_s is not None and at_s >= end_s:
-                yield Finding(
-                    WARNING,
-                    f"uavs[{index}].{key}",
+                value, limit = (
                     f"{at_s:g} s: UAV {uav.id} never {verb}",
                     f"< timing.duration_s, {end_s:g} s",
-                    f"lower {key}, or fly longer",
                 )
-        if uav.joins_s is not None and uav.joins_s < end_s:
-            yield _joined(scenario, index, uav.joins_s)
-
-
-def _joined(scenario: Scenario, index: int, joins_s: float) -> Finding:
-    """The time that a UAV which joins needs to its place, at the limits of its way back."""
-    uav = scenario.uavs[index].id
-    leader = np.array(reference(leader_trajectory(scenario), joins_s).position)
-    place = leader + places_beside_leader(scenario, uav, np.array([joins_s]))[0]
-    away_m = float(np.linalg.norm(place - scenario.uav(uav).position))
-    needed_s = joins_s + recovery_duration(away_m, recovery_config(scenario, uav))
-    until_s = min(scenario.timing.duration_s, scenario.uavs[index].leaves_s or math.inf)
-    late = needed_s > until_s
-    return Finding(
-        WARNING if late else INFO,
-        f"uavs[{index}].joins_s",
-        f"{joins_s:g} s: UAV {uav} is {away_m:.2f} m from its place then, and needs until {needed_s:.2f} s",
-        f"<= {until_s:g} s, when the flight ends or the UAV leaves",
-        "join earlier or nearer, or fly longer" if late else "",
-    )
+                yield judge(f"uavs[{index}].{key}", value, limit, f"lower {key}, or fly longer")
+        joins_s = uav.joins_s
+        if joins_s is None or joins_s >= end_s:
+            continue
+        leader = np.array(reference(leader_trajectory(scenario), joins_s).position)
+        place = leader + places_beside_leader(scenario, uav.id, np.array([joins_s]))[0]
+        away_m = float(np.linalg.norm(place - scenario.uav(uav.id).position))
+        needed_s = joins_s + recovery_duration(away_m, recovery_config(scenario, uav.id))
+        until_s = min(end_s, uav.leaves_s or math.inf)
+        away = f"UAV {uav.id} is {away_m:.2f} m from its place then"
+        value = f"{joins_s:g} s: {away}, and needs until {needed_s:.2f} s"
+        limit = f"<= {until_s:g} s, when the flight ends or the UAV leaves"
+        advice = "join earlier or nearer, or fly longer" if needed_s > until_s else ""
+        yield judge(f"uavs[{index}].joins_s", value, limit, advice)
 
 
 def _lead(scenario: Scenario) -> Findings:
@@ -247,13 +200,10 @@ def _lead(scenario: Scenario) -> Findings:
             yield from _idle_successors(scenario, at_s, absent, away)
         if formations.of(Membership(frozenset(absent), frozenset(away - absent))) is None:
             planned = not {scenario.leader.id, *line} - _absent(scenario, at_s, killed=False)
-            yield Finding(
-                ERROR if planned else WARNING,
-                "leader.successors",
-                f"[{', '.join(map(str, line))}]: from {at_s:g} s on nobody leads: all hold",
-                "a successor that is there then",
-                "name one, or let the leader or a successor stay",
-            )
+            value = f"[{', '.join(map(str, line))}]: from {at_s:g} s on nobody leads: all hold"
+            limit = "a successor that is there then"
+            advice = "name one, or let the leader or a successor stay"
+            yield judge("leader.successors", value, limit, advice, ERROR if planned else WARNING)
             return
 
 
@@ -262,12 +212,10 @@ def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: se
     for index, uav in enumerate(scenario.leader.successors):
         if uav in away:
             why = "is away then" if uav in absent else "was away before"
-            yield Finding(
-                WARNING,
-                f"leader.successors[{index}]",
-                f"UAV {uav} {why}, when the lead is free at {at_s:g} s",
-                "a UAV that is there from the begin on until then",
-                "name another one, or let it stay",
+            value = f"UAV {uav} {why}, when the lead is free at {at_s:g} s"
+            limit = "a UAV that is there from the begin on until then"
+            yield judge(
+                f"leader.successors[{index}]", value, limit, "name another one, or let it stay"
             )
 
 
@@ -293,15 +241,14 @@ def _gone_ns(scenario: Scenario, uav: int, *, killed: bool) -> list[tuple[int, i
 
 def faults(scenario: Scenario) -> Findings:
     """Faults that begin after the flight, and those that not every flight injects."""
+    end_s = scenario.timing.duration_s
     for index, fault in enumerate(scenario.faults or ()):
         key = f"faults[{index}]"
-        if fault.at_s >= scenario.timing.duration_s:
-            yield Finding(
-                WARNING,
-                f"{key}.at_s",
-                f"{fault.at_s:g} s",
-                f"< timing.duration_s, {scenario.timing.duration_s:g} s",
+        if fault.at_s >= end_s:
+            limit, advice = (
+                f"< timing.duration_s, {end_s:g} s",
                 "it never begins: lower at_s, or fly longer",
             )
+            yield judge(f"{key}.at_s", f"{fault.at_s:g} s", limit, advice)
         elif fault not in modelled(scenario.faults):
-            yield Finding(INFO, key, fault.text, "every flight injects it", "only in real time")
+            yield judge(key, fault.text, "every flight injects it", "only in real time", INFO)
