@@ -4,11 +4,7 @@ from ptnsbc_sim.scenario.constants import SeveralParents, agent_config, several_
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.reading.reader import available
-from ptnsbc_sim.scenario.scenario import (
-    Scenario,
-    load_scenario,
-    scenario_from_text,
-)
+from ptnsbc_sim.scenario.scenario import Scenario, load_scenario, scenario_from_text
 
 __all__ = [
     "Scenario",

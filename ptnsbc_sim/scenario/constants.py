@@ -251,9 +251,7 @@ def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
         config = clearance_config(scenario, uav_id)
         left = min(left, sight_speed(config, scenario.widest_keep_out_m, half, SHARE))
     return RecoveryConfig(
-        least_s=float(scenario.formation.recovery_s),
-        speed=float(left),
-        acceleration=float(half),
+        least_s=float(scenario.formation.recovery_s), speed=float(left), acceleration=float(half)
     )
 
 

@@ -71,9 +71,7 @@ AT_REST = Condition(
 NO_CHANGES = Condition("formation.changes", "none", lambda f: "" if f.formation.changes else None)
 NO_MISSION = Condition("mission", "none", lambda f: "legs" if f.mission else None)
 NO_ROTATION = Condition(
-    "mission.legs",
-    "no leg of kind change with rotation_rad",
-    lambda f: "" if _rotates(f) else None,
+    "mission.legs", "no leg of kind change with rotation_rad", lambda f: "" if _rotates(f) else None
 )
 KNOWN_PATH = Condition(
     "leader.trajectory.kind",

@@ -147,11 +147,7 @@ def graph(file: ScenarioFile, source: str) -> Topology:
     links = file.communication
     try:
         topology = validated_topology(
-            file.leader.id,
-            file.uav_ids,
-            links.tree,
-            links.leader_links,
-            links.estimator_edges,
+            file.leader.id, file.uav_ids, links.tree, links.leader_links, links.estimator_edges
         )
     except TopologyError as error:
         raise TopologyError(f"{source}: {error}") from None  # it names its own keys

@@ -22,10 +22,7 @@ from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 _SECOND_NS = 1_000_000_000
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _DATE = TypeAdapter(datetime)  # datetime.fromisoformat knows no Z before Python 3.11
-_TIME_OF_DAY = re.compile(
-    r"(\*|[01]\d|2[0-3]):(\*|[0-5]\d):([0-5]\d)(?:\.(\d{1,6}))?Z",
-    re.ASCII,
-)
+_TIME_OF_DAY = re.compile(r"(\*|[01]\d|2[0-3]):(\*|[0-5]\d):([0-5]\d)(?:\.(\d{1,6}))?Z", re.ASCII)
 
 
 class UtcTime(NamedTuple):
