@@ -98,23 +98,28 @@ class Reader:
 
     def take(self, size: int, alignment: int = 1) -> bytes:
         """The next `size` bytes, which begin at a multiple of `alignment`."""
-        start = align(self.at, alignment)
-        self.at = start + size
-        if len(self._buf) < self.at:
-            raise WireError(
-                f"{self._what}: {len(self._buf)} bytes: expected at least {self.at}, the message is cut"
-            )
+        start = self._step_over(size, alignment)
         return self._buf[start : self.at]
 
     def numbers(self, letters: str, alignment: int = 4) -> tuple[Any, ...]:
         """Numbers in the letters of struct."""
         layout = _layout(self.order + letters)
-        return layout.unpack(self.take(layout.size, alignment))
+        return layout.unpack_from(self._buf, self._step_over(layout.size, alignment))
+
+    def _step_over(self, size: int, alignment: int) -> int:
+        """Where the next `size` bytes begin."""
+        start = self.at + (_BODY - self.at) % alignment
+        self.at = start + size
+        if len(self._buf) < self.at:
+            raise WireError(
+                f"{self._what}: {len(self._buf)} bytes: expected at least {self.at}, the message is cut"
+            )
+        return start
 
     def stamp(self) -> int:
         """A builtin_interfaces/Time [ns]."""
         seconds, nanoseconds = self.numbers("iI")
-        return int(seconds * SECOND_NS + nanoseconds)
+        return seconds * SECOND_NS + nanoseconds  # type: ignore[no-any-return]
 
     def skip_text(self) -> bytes:
         """The bytes of a string."""

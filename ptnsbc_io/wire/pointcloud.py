@@ -104,9 +104,11 @@ def decode_near(buf: bytes) -> Stamped:
     points = np.ndarray((height, width), kind, data, 0, (row_step, kind.itemsize)).reshape(-1)
     rows = np.zeros((len(points), len(NEAR_FIELDS)))
     with np.errstate(invalid="ignore"):  # of a signalling NaN, which is left out like any other
-        for column, name in enumerate(NEAR_FIELDS):
-            if name in (kind.names or ()):
-                rows[:, column] = points[name]
+        if kind is _OUR_TYPE:  # at a third of the cost of its columns
+            rows[:] = points.view("<f4").reshape(rows.shape)
+        else:
+            for name in kind.names or ():
+                rows[:, NEAR_FIELDS.index(name)] = points[name]
     finite = np.isfinite(rows)
     if not finite.all():
         rows[:, 4:][~finite[:, 4:]] = 0.0
