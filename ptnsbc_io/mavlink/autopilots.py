@@ -150,8 +150,7 @@ class Autopilot(NamedTuple):
     packed: bool  # custom_mode holds main in its third byte and sub in its fourth
     encoding: Encoding
     earth_radius_m: float  # of its local projection
-    stream_first: bool  # the mode needs setpoints before and during
-    climbs: bool  # takes off by a setpoint; otherwise by NAV_TAKEOFF
+    stream_first: bool  # its mode needs setpoints before and during, and it takes off by one; else by NAV_TAKEOFF
     attitude_only: bool
     rates: Rates
     parameters: tuple[str, ...]
@@ -203,7 +202,6 @@ PX4 = Autopilot(
     encoding=Encoding.BYTEWISE,
     earth_radius_m=6371000.0,
     stream_first=True,
-    climbs=True,
     attitude_only=False,
     rates=Rates.HEADING,
     parameters=(
@@ -227,7 +225,6 @@ ARDUPILOT = Autopilot(
     encoding=Encoding.C_CAST,
     earth_radius_m=6378100.0,
     stream_first=False,
-    climbs=False,
     attitude_only=False,
     rates=Rates.HEADING_BY_ALL,
     parameters=(
@@ -244,7 +241,6 @@ GENERIC = Autopilot(
     encoding=Encoding.C_CAST,
     earth_radius_m=6371000.0,
     stream_first=True,
-    climbs=True,
     attitude_only=True,
     rates=Rates.ALL,
     parameters=(),

@@ -478,7 +478,7 @@ def _stream_and_command(
     """The content of the setpoint stream in this step, and the command that it repeats until it is confirmed."""
     step, memory, autopilot = flight.step, flight.memory, flight.autopilot
     early = Stream.HOLD if autopilot.stream_first else Stream.NONE
-    if step is Step.TAKEOFF and autopilot.climbs:
+    if step is Step.TAKEOFF and autopilot.stream_first:
         return Stream.CLIMB, None
     if step is Step.LAND:
         if memory.grounded.seconds(now.now_s) > _GROUNDED_S:
