@@ -276,8 +276,7 @@ class Reading:
 
     def options(self) -> ReadOptions:
         """The same for the reader of bags."""
-        from ptnsbc_tools.reading.bag_reader import ReadOptions
-        from ptnsbc_tools.reading.bag_sources import TopicNames
+        from ptnsbc_tools.reading.bag_reader import ReadOptions, TopicNames
 
         names = TopicNames(odom=self.odom, wrench=self.wrench)
         return ReadOptions(self.scenario, self.tolerance, self.window, self.epoch, names)

@@ -21,8 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent / "support"))
 
 import real_time
 
-from ptnsbc_nodes.emergency.orders import release
-from ptnsbc_nodes.emergency.records import forget_dead
+from ptnsbc_nodes.emergency import forget_dead, release
 
 HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.

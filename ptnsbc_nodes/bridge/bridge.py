@@ -27,7 +27,7 @@ from ptnsbc_nodes.bridge.procedure.steps import (
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle_monitor import TRUTH_MESSAGES, VEHICLE_MESSAGES, VehicleMonitor
-from ptnsbc_nodes.emergency.orders import APART
+from ptnsbc_nodes.emergency import APART
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.mavlink import VehicleLink
 

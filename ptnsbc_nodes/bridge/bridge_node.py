@@ -48,7 +48,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
-from ptnsbc_nodes.emergency.orders import (
+from ptnsbc_nodes.emergency import (
     APART,
     LAND,
     Order,

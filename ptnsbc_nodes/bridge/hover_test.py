@@ -35,7 +35,7 @@ from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
 )
 from ptnsbc_nodes.bridge.status import RecordKeeper
 from ptnsbc_nodes.comm.legs import FIRST_LEG
-from ptnsbc_nodes.emergency.orders import LAND, Order, OrderPort, latched, runtime_folder
+from ptnsbc_nodes.emergency import LAND, Order, OrderPort, latched, runtime_folder
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.scenario import Scenario, agent_config, scenario_from_text

@@ -13,7 +13,7 @@ from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields, Stamped
 from ptnsbc_nodes.bridge.procedure.steps import Companion
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
-from ptnsbc_nodes.emergency.orders import Order
+from ptnsbc_nodes.emergency import Order
 
 
 @dataclass

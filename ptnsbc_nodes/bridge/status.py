@@ -22,7 +22,7 @@ from ptnsbc_nodes.comm.diagnostics import (
     readiness,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.emergency import VehicleRecord, write_record
 from ptnsbc_sim.scenario import Scenario
 
 _NEVER_S = 1e6

@@ -18,7 +18,7 @@ from ptnsbc_core.types import LEGS
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency.orders import Order, parse_order
+from ptnsbc_nodes.emergency import Order, parse_order
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
 from ptnsbc_sim.scenario.mission.legs import number_of

@@ -23,8 +23,17 @@ from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
-from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, OrderClient, fleet_bridges, latch
-from ptnsbc_nodes.emergency.records import VehicleRecord, decode_record, records
+from ptnsbc_nodes.emergency import (
+    KILL,
+    LAND,
+    Order,
+    OrderClient,
+    VehicleRecord,
+    decode_record,
+    fleet_bridges,
+    latch,
+    records,
+)
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet_node import LauncherNode

@@ -19,8 +19,7 @@ from rclpy.validate_namespace import validate_namespace
 from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.comm.topics import RECORDER
-from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
-from ptnsbc_nodes.emergency.records import forget_dead
+from ptnsbc_nodes.emergency import forget_dead, list_fleet, release, runtime_folder
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector, hear_faults
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode

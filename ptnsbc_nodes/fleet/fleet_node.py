@@ -36,8 +36,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, SIM
-from ptnsbc_nodes.emergency.orders import Order, runtime_folder
-from ptnsbc_nodes.emergency.records import VehicleRecord, reported
+from ptnsbc_nodes.emergency import Order, VehicleRecord, reported, runtime_folder
 from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 

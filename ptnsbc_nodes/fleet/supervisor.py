@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency.records import in_pilots_hands, last_word
+from ptnsbc_nodes.emergency import in_pilots_hands, last_word
 from ptnsbc_nodes.fleet.child_process import ChildProcess, end
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector

@@ -32,7 +32,7 @@ from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
-from ptnsbc_nodes.emergency.orders import APART, KILL, LAND, Order, parse_order, runtime_folder
+from ptnsbc_nodes.emergency import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet_node import Answer, LauncherNode
 from ptnsbc_nodes.runtime.node_process import make_executor

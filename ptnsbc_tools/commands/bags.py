@@ -204,7 +204,7 @@ def record(
     about: dict[str, Any] = {}
     if scenario is not None:
         from ptnsbc_sim.scenario import load_scenario
-        from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
+        from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
         flown = load_scenario(scenario)
         about["attachments"] = {SCENARIO_ATTACHMENT: flown.text.encode()}

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
-from ptnsbc_nodes.emergency.records import forget_dead
+from ptnsbc_nodes.emergency import KILL, LAND, Order, forget_dead, release, runtime_folder
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, option

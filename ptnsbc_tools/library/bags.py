@@ -13,7 +13,7 @@ from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import refuse_outside
-from ptnsbc_tools.reading.bag_sources import scenario_of
+from ptnsbc_tools.reading.bag_reader import scenario_of
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
 

@@ -19,8 +19,7 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
-from ptnsbc_tools.reading.bag_reader import ReadOptions, read_status
-from ptnsbc_tools.reading.bag_sources import OUR_TOPICS, TopicNames
+from ptnsbc_tools.reading.bag_reader import OUR_TOPICS, ReadOptions, TopicNames, read_status
 
 DRY_RUNS = 20
 

@@ -23,7 +23,7 @@ from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
-from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
+from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
 Message = tuple[str, bytes]  # topic, CDR
 

@@ -31,7 +31,7 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
-from ptnsbc_nodes.emergency.orders import APART, Order
+from ptnsbc_nodes.emergency import APART, Order
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins

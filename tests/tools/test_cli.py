@@ -18,7 +18,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_tools.cli import app, functions
-from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
+from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
 Fly = Callable[..., Recording]
 

@@ -16,7 +16,7 @@ from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.emergency.orders import Order
+from ptnsbc_nodes.emergency import Order
 from ptnsbc_sim.scenario import load_scenario
 
 

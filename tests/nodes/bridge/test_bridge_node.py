@@ -26,7 +26,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.emergency.orders import (
+from ptnsbc_nodes.emergency import (
     APART,
     KILL,
     LAND,
@@ -34,11 +34,11 @@ from ptnsbc_nodes.emergency.orders import (
     latch,
     latched,
     list_fleet,
+    record_path,
     release,
     runtime_folder,
     socket_path,
 )
-from ptnsbc_nodes.emergency.records import record_path
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet import FleetOptions, _listed
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode

@@ -29,8 +29,15 @@ from ptnsbc_nodes.bridge.hover_test import (
     settings,
 )
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.emergency.orders import KILL, Order, OrderClient, latch
-from ptnsbc_nodes.emergency.records import decode_record, record_path, records
+from ptnsbc_nodes.emergency import (
+    KILL,
+    Order,
+    OrderClient,
+    decode_record,
+    latch,
+    record_path,
+    records,
+)
 from ptnsbc_sim.scenario import load_scenario
 
 # Gain and lag [s] at 0.1, 0.25 and 0.5 Hz by the truth, without a link: docs/autopilot.md, and its test.

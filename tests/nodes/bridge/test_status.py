@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_nodes.bridge.procedure.steps import BEFORE_ARMING, FLYING, Step, Stream
 from ptnsbc_nodes.bridge.status import procedure_concern, vehicle_record
 from ptnsbc_nodes.comm.diagnostics import SafetyState, assess
-from ptnsbc_nodes.emergency.records import VehicleRecord
+from ptnsbc_nodes.emergency import VehicleRecord
 
 BASE = VehicleRecord("bridge1", 1, 1, "px4", "udpin:127.0.0.1:14540")
 

@@ -15,8 +15,14 @@ pytest.importorskip("pymavlink")
 from mavlink_wires import Far, heartbeat
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_nodes.emergency.orders import Order, OrderPort, latched, list_fleet
-from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.emergency import (
+    Order,
+    OrderPort,
+    VehicleRecord,
+    latched,
+    list_fleet,
+    write_record,
+)
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -10,8 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.emergency.orders import runtime_folder
-from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.emergency import VehicleRecord, runtime_folder, write_record
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector

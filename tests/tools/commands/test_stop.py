@@ -11,15 +11,16 @@ pytest.importorskip("pymavlink")
 
 import typer
 
-from ptnsbc_nodes.emergency.orders import (
+from ptnsbc_nodes.emergency import (
     Order,
     OrderPort,
+    VehicleRecord,
     latch,
     latched,
     list_fleet,
     runtime_folder,
+    write_record,
 )
-from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_tools.commands import stop as command
 

@@ -12,7 +12,7 @@ from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.flying import fly, load
-from ptnsbc_tools.reading.bag_sources import scenario_of
+from ptnsbc_tools.reading.bag_reader import scenario_of
 from ptnsbc_tools.replay.rerun import rerun
 
 LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"

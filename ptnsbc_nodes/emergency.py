@@ -1,4 +1,4 @@
-"""The operator's order to all vehicles: the folder of this host in which it is latched, and the sockets of bridges.
+"""The operator's order to all vehicles, and what their bridges know of them: a folder of this host, and sockets.
 
 The folder is `ptnsbc/<domain>` below `$XDG_RUNTIME_DIR`, or `ptnsbc-<user>/<domain>` in the folder for temporary files;
 for a fleet in the namespace `/blue` its name is `<domain>.blue`. It belongs to one user. It holds the latched order, a
@@ -6,7 +6,8 @@ socket and a record per bridge, and the list of a fleet's bridges.
 
 On its socket a bridge takes orders from processes of this host: no discovery, no middleware, no leader. A datagram
 holds an order as text, or nothing for a question. Each is answered with the vehicle's record. The thread of the port
-stores the order for the thread of the bridge, and works also while the executor of the node is busy.
+stores the order for the thread of the bridge, and works also while the executor of the node is busy. The record in
+the file outlives the bridge: it tells others how to reach the vehicle, and what the vehicle was doing.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import stat
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +35,10 @@ _ORDER_FILE, _FLEET_FILE = "order.json", "fleet.json"
 _LARGEST_FILE = 1 << 16  # [bytes]
 _LARGEST_ORDER = 256  # [bytes]
 _LOOK_S = 0.5
+_RECORD_SUFFIX = ".vehicle.json"
+# What the status of a bridge says of its vehicle as well: texts, and what is true or false.
+_TEXTS = ("step", "fault", "mode", "place", "order")
+_FLAGS = ("armed", "heard", "landed", "in_pilots_hands")
 
 
 class RuntimeFolderError(PtnsbcError):
@@ -248,3 +254,138 @@ class OrderClient:
             while True:
                 found.append(self._socket.recv(1 << 16))
         return found
+
+
+@dataclass(frozen=True)
+class VehicleRecord:
+    """One vehicle as its bridge knew it last."""
+
+    name: str  # of the bridge
+    pid: int
+    sysid: int
+    autopilot: str
+    connect: str  # the bridge's link
+    peer: str = ""  # "host:port" of the vehicle, once it is known
+    signing_key: str = ""  # path of the key file
+    step: str = ""
+    order: str = ""  # the order that the bridge obeys
+    heard: bool = False  # whether the vehicle sends HEARTBEAT
+    armed: bool = False
+    landed: bool = False
+    in_pilots_hands: bool = False
+    mode: str = ""
+    place: str = ""  # "(x, y, z) m" in the world
+    fate: str = ""  # what the vehicle does without its bridge
+    fault: str = ""
+    ended: bool = False  # the bridge has ended in order
+    written_s: float = 0.0  # wall time
+
+    @property
+    def state(self) -> str:
+        """The vehicle's state in a few words."""
+        if not self.heard:
+            return f"the vehicle is silent, last {self._where}" if self.armed else "no vehicle"
+        return self._where
+
+    @property
+    def _where(self) -> str:
+        armed = "armed" if self.armed else "disarmed"
+        on_ground = ", on the ground" if self.landed else ""
+        place = f" at {self.place}" if self.place else ""
+        return f"{armed}{on_ground}{place} in {self.mode or 'no mode'}"
+
+    @property
+    def alive(self) -> bool:
+        """True if the bridge's process still exists on this host."""
+        if self.ended:
+            return False
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            return True
+        with suppress(OSError):  # a dead process whose parent has not looked yet
+            return ") Z " not in Path(f"/proc/{self.pid}/stat").read_text()
+        return True
+
+    @property
+    def status(self) -> dict[str, str]:
+        """The values of a status that `reported` reads."""
+        return {name: str(getattr(self, name)) for name in _TEXTS} | {
+            name: str(getattr(self, name)).lower() for name in _FLAGS
+        }
+
+    def encode(self) -> bytes:
+        """As `parse_record` reads it."""
+        return json.dumps(asdict(self)).encode()
+
+
+_KINDS: Mapping[object, tuple[type, ...]]
+_KINDS = {"str": (str,), "int": (int,), "bool": (bool,), "float": (int, float)}
+_TYPES = {field.name: _KINDS[field.type] for field in fields(VehicleRecord)}
+
+
+def parse_record(found: object) -> VehicleRecord | None:
+    """A record from decoded JSON; None when it is not one."""
+    if not isinstance(found, dict):
+        return None
+    if not all(isinstance(found.get(name), kinds) for name, kinds in _TYPES.items()):
+        return None
+    return VehicleRecord(**{name: found[name] for name in _TYPES})
+
+
+def decode_record(data: bytes) -> VehicleRecord | None:
+    """A record from bytes; None when it is not one."""
+    try:
+        return parse_record(json.loads(data))
+    except (ValueError, RecursionError):
+        return None
+
+
+def record_path(folder: Path, name: str) -> Path:
+    """The file of a bridge's record."""
+    return folder / f"{name}{_RECORD_SUFFIX}"
+
+
+def write_record(folder: Path, record: VehicleRecord) -> None:
+    """Replace the bridge's record."""
+    values = {**asdict(record), "written_s": time.time()}
+    write_json(record_path(folder, record.name), values)
+
+
+def records(folder: Path) -> Iterator[VehicleRecord]:
+    """All records of the folder, by name; broken ones are left out."""
+    for path in sorted(folder.glob(f"*{_RECORD_SUFFIX}")):
+        found = parse_record(read_json(path))
+        if found is not None:
+            yield found
+
+
+def forget_dead(folder: Path) -> None:
+    """Remove the records of bridges that have ended."""
+    for record in list(records(folder)):
+        if not record.alive:
+            record_path(folder, record.name).unlink(missing_ok=True)
+
+
+def last_word(folder: Path, name: str) -> str:
+    """Place and present action of a vehicle whose bridge has ended; empty when it is not armed or not known."""
+    record = parse_record(read_json(record_path(folder, name)))
+    if record is None or not record.armed:
+        return ""
+    fate = f": {record.fate}" if record.fate else ""
+    return f"its vehicle was {record.state}{fate}; ptnsbc stop reaches it past its bridge"
+
+
+def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
+    """True if pilots fly all of these vehicles, as far as their bridges know."""
+    known = {record.name: record for record in records(folder)}
+    return all(name in known and known[name].in_pilots_hands for name in names)
+
+
+def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
+    """The record of a vehicle, as its bridge on any host reports it now."""
+    texts = {key: values.get(key, "") for key in _TEXTS}
+    flags = {key: values.get(key) == "true" for key in _FLAGS}
+    return VehicleRecord(name, 0, 0, "", "", written_s=time.time(), **texts, **flags)  # type: ignore[arg-type]
