@@ -119,7 +119,7 @@ class Reader:
     def stamp(self) -> int:
         """A builtin_interfaces/Time [ns]."""
         seconds, nanoseconds = self.numbers("iI")
-        return seconds * SECOND_NS + nanoseconds  # type: ignore[no-any-return]
+        return seconds * SECOND_NS + nanoseconds
 
     def skip_text(self) -> bytes:
         """The bytes of a string."""
