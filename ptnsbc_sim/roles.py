@@ -15,7 +15,7 @@ from ptnsbc_core.types import NEVER_RECEIVED_S, AgentState, Array, NeighbourMoti
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import Formations, View, changed
+from ptnsbc_sim.scenario.slots import Formations, Membership, View, changed
 
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -48,6 +48,31 @@ def moved_on(state: AgentState, change: RoleChange) -> AgentState:
     return state
 
 
+class UavRole:
+    """The place of one UAV in the graph, by the members that it sees, in a scenario in which UAVs may come and go."""
+
+    def __init__(self, formations: Formations, uav: int) -> None:
+        self.formations, self.uav = formations, uav
+        self.restart(formations.scenario)
+
+    def restart(self, known: Scenario | None) -> None:
+        """Forget the members seen so far; `known`: the scenario as the UAV flies it, None while it has no place."""
+        self.view = View(self.formations.scenario, self.uav)
+        self.members = Membership(frozenset(), frozenset())
+        self.flown = known
+
+    def take(self, since_ns: int, awake_ns: int, ages_s: Mapping[int, float]) -> RoleChange | None:
+        """Determine the members, as `View.at`; returns the new role of the UAV if it changes."""
+        self.members = self.view.at(since_ns, awake_ns, ages_s)
+        before, after = self.flown, self.formations.of(self.members)
+        if self.uav in self.members.absent:
+            self.flown = None
+        elif after is not None and after is not before:
+            self.flown = after
+            return RoleChange(self.uav, before, after)
+        return None
+
+
 def role_changes(scenario: Scenario) -> dict[int, list[RoleChange]]:
     """The changes of a headless flight, by the tick from which they hold; none unless UAVs may come and go."""
     found: dict[int, list[RoleChange]] = {}
@@ -55,36 +80,28 @@ def role_changes(scenario: Scenario) -> dict[int, list[RoleChange]]:
         return found
     formations, dead = Formations(scenario), gone(scenario)
     for row, uav in enumerate(scenario.uav_ids):
-        for tick, change in _of_uav(formations, uav, dead[:, row]):
+        for tick, change in _changes(UavRole(formations, uav), dead[:, row]):
             found.setdefault(tick, []).append(change)
     return found
 
 
-def _of_uav(
-    formations: Formations, uav: int, dead: NDArray[np.bool_]
-) -> Iterator[tuple[int, RoleChange]]:
-    scenario = formations.scenario
+def _changes(role: UavRole, dead: NDArray[np.bool_]) -> Iterator[tuple[int, RoleChange]]:
+    scenario, uav = role.formations.scenario, role.uav
     others = [other for other in scenario.uav_ids if other != uav]
     ticks = np.arange(scenario.timing.ticks, dtype=np.int64)
     woke = np.maximum.accumulate(np.where(dead, ticks + 1, 0))  # first tick of the process
     ages = {other: _ages(scenario, uav, other) for other in others}
-    view = View(scenario, uav)
-    before: Scenario | None = scenario
     for tick in _looks(scenario, ages, dead, woke).tolist():
         if dead[tick]:
             continue
         if tick == woke[tick] > 0:  # a process that begins anew knows nothing
-            view, before = View(scenario, uav), None
+            role.restart(None)
         dt_ns = scenario.timing.dt_ns
         since_ns, awake_ns = tick * dt_ns, (tick - int(woke[tick])) * dt_ns
-        found = {other: float(of[tick]) for other, of in ages.items()}
-        members = view.at(since_ns, awake_ns, found)
-        after = formations.of(members)
-        if uav in members.absent:
-            before = None
-        elif after is not None and after is not before:
-            yield tick, RoleChange(uav, before, after)
-            before = after
+        ages_s = {other: float(of[tick]) for other, of in ages.items()}
+        change = role.take(since_ns, awake_ns, ages_s)
+        if change is not None:
+            yield tick, change
 
 
 def _ages(scenario: Scenario, uav: int, other: int) -> Array:

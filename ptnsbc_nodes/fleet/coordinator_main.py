@@ -40,7 +40,6 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.fleet.supervisor import call_down
     from ptnsbc_nodes.fleet.takeoff import Launch, TakeOff
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.runtime.node_process import ros_errors
     from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_sim.scenario import load_scenario
 
@@ -52,10 +51,8 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     # Others have started all processes; this one leads, as a computer with the recorder does.
     options = replace(options, only=frozenset({RECORDER}))
     with StopRequest() as stop:
-        with ros_errors():
-            domain = environment.named_domain()
-            node = LauncherNode(domain, ros_arguments=argv[1:], seal=seal_of(scenario))
-        with node:
+        domain, seal = environment.named_domain(), seal_of(scenario)
+        with LauncherNode(domain, ros_arguments=argv[1:], seal=seal) as node:
             if arguments.manage:
                 for i in scenario.uav_ids:
                     node.lifecycle.manage(f"uav{i}", f"/uav{i}/controller")

@@ -3,7 +3,7 @@
 An operator announces a fault to a fleet in flight, and each process of the fleet hears of it.
 
 In real time the times of a scenario count from the start of the mission. In lock-step the launcher has no mission time:
-a UAV carries out its own `kill` there (`ptnsbc_nodes.uav.uav_faults`), and nothing else of the scenario is injected.
+a UAV carries out its own `kill` there (`UavFaults`), and nothing else of the scenario is injected.
 """
 
 from __future__ import annotations

@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -37,7 +36,7 @@ from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, SIM
 from ptnsbc_nodes.emergency import Order, VehicleRecord, reported, runtime_folder
-from ptnsbc_nodes.runtime.node_process import make_executor
+from ptnsbc_nodes.runtime.node_process import plain_node
 from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 
 _REQUEST_S = 1.0
@@ -51,7 +50,7 @@ _TRANSITION_S = 5.0
 
 
 class FleetNode:
-    """One rclpy node of a fleet, in a context of its own; use it as a context manager."""
+    """One rclpy node of a fleet, in the network of its domain; use it as a context manager."""
 
     def __init__(
         self,
@@ -60,29 +59,18 @@ class FleetNode:
         namespace: str = "",
         ros_arguments: Sequence[str] = (),
         seal: Seal | None = None,
+        within: Context | None = None,
     ) -> None:
+        """`within`: a context that is there, instead of one of its own."""
         self.domain, self.seal = domain, seal
-        self._name, self._namespace, self._ros_arguments = name, namespace, list(ros_arguments)
+        self._plain = partial(plain_node, name, ros_arguments, namespace, domain, within)
         self._joins: list[Callable[[], object]] = []
         self._join()
 
     def _join(self) -> None:
-        self._context = Context()
-        rclpy.init(
-            args=self._ros_arguments,
-            context=self._context,
-            domain_id=self.domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = rclpy.create_node(
-            self._name,
-            namespace=self._namespace,
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
-        self.executor: Any = make_executor(self._context)
-        self.executor.add_node(self.node)
+        self._joined = ExitStack()
+        self.node, executor = self._joined.enter_context(self._plain())
+        self.executor: Any = executor
         self.endpoints = Endpoints(self.node, lockstep=True, seal=self.seal)
         for join in self._joins:
             join()
@@ -99,10 +87,7 @@ class FleetNode:
 
     def leave(self) -> None:
         """Leave the network; again is no harm."""
-        if self._context.ok():
-            self.executor.shutdown()
-            self.node.destroy_node()
-            rclpy.shutdown(context=self._context)
+        self._joined.close()
 
     def __enter__(self) -> Any:
         return self

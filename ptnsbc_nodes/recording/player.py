@@ -21,7 +21,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import wait_for_readers
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import CLOCK, Role, Topic
-from ptnsbc_nodes.recording.recorder import plain_node
+from ptnsbc_nodes.runtime.node_process import plain_node
 from ptnsbc_nodes.runtime.signals import StopRequest
 
 _LOOK_S = 0.05

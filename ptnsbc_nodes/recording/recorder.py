@@ -8,21 +8,17 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
@@ -33,7 +29,7 @@ from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
-from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor, ros_errors
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, plain_node
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.runtime.signals import StopRequest
 
@@ -160,27 +156,6 @@ class BagRecorder:
             "topics": counts,
             **more,
         }
-
-
-@contextmanager
-def plain_node(name: str, argv: Sequence[str] = ()) -> Iterator[tuple[Node, Executor]]:
-    """A node without services, in a context of its own, and its executor; `argv` is for ROS."""
-    context = Context()
-    with ros_errors():
-        rclpy.init(args=list(argv), context=context, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node(
-            name, context=context, start_parameter_services=False, enable_rosout=False
-        )
-        executor = make_executor(context)
-        executor.add_node(node)
-        try:
-            yield node, executor
-        finally:
-            executor.shutdown()
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown(context=context)
 
 
 def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicInfo:

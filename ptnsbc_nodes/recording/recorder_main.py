@@ -33,9 +33,9 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.agent_messages import Transforms
     from ptnsbc_nodes.comm.seal import required_seal
     from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
-    from ptnsbc_nodes.recording.recorder import BagRecorder, plain_node, topic_info
+    from ptnsbc_nodes.recording.recorder import BagRecorder, topic_info
     from ptnsbc_nodes.runtime.launcher import report_running
-    from ptnsbc_nodes.runtime.node_process import report_finished
+    from ptnsbc_nodes.runtime.node_process import plain_node, report_finished
 
     def attached(name: str, path: str) -> bytes:
         try:

@@ -228,6 +228,42 @@ def ros_context(argv: Sequence[str]) -> Iterator[None]:
 
 
 @contextmanager
+def plain_node(
+    name: str,
+    argv: Sequence[str] = (),
+    namespace: str = "",
+    domain: int | None = None,
+    within: Context | None = None,
+) -> Iterator[tuple[Node, Executor]]:
+    """A node without services and its executor, `within` a context or in its own, which `argv` and `domain` are for."""
+    context = within or Context()
+    if within is None:
+        with ros_errors():
+            no = SignalHandlerOptions.NO
+            rclpy.init(
+                args=list(argv), context=context, domain_id=domain, signal_handler_options=no
+            )
+    try:
+        node = rclpy.create_node(
+            name,
+            namespace=namespace,
+            context=context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        executor = make_executor(context)
+        executor.add_node(node)
+        try:
+            yield node, executor
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+    finally:
+        if within is None:
+            rclpy.try_shutdown(context=context)
+
+
+@contextmanager
 def ros_node(
     name: str,
     namespace: str,

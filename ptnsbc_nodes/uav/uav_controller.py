@@ -9,7 +9,10 @@ No ROS in here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +20,7 @@ import numpy as np
 from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.nanoseconds import seconds
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     MODE_FORMATION,
@@ -30,23 +33,20 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_io.wire import HeaderFields, Stamped
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
+from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess, OrderedFault
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.uav.inbox import Inbox
-from ptnsbc_nodes.uav.uav_faults import UavFaults
 from ptnsbc_sim.counters import UavCounters
+from ptnsbc_sim.disturbances.faults import strikes, without_position
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
-from ptnsbc_sim.roles import RoleChange, moved_on
+from ptnsbc_sim.roles import RoleChange, UavRole, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.slots import (
-    Formations,
-    Membership,
-    Slots,
-    View,
-    optimal_slots,
-    with_slots,
-)
+from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock
+from ptnsbc_sim.scenario.slots import Formations, Slots, optimal_slots, with_slots
+
+_MOST_INJECTED = 20  # that are remembered
+_WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed
 
 
 class Tick(NamedTuple):
@@ -90,63 +90,46 @@ def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
     return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
 
 
-class RoleHolder:
-    """The role of one UAV, by the members that it sees, in a scenario in which UAVs may come and go."""
+class RoleHolder(UavRole):
+    """The role of one UAV from step to step, and what it knows of its own pauses."""
 
     def __init__(self, scenario: Scenario, uav_id: int) -> None:
-        self.uav = uav_id
-        self.follow(scenario)
-        self.restart()
+        super().__init__(Formations(scenario), uav_id)
 
-    def restart(self) -> None:
-        """Forget the members seen so far."""
-        self._view = View(self._formations.scenario, self.uav)
+    def restart(self, known: Scenario | None = None) -> None:
+        """Forget the members seen so far: the next step is the first."""
+        super().restart(known or self.formations.scenario)
         self._began_ns: int | None = None
         self._looked_ns: int | None = None
-        self._before: Scenario | None = self._formations.scenario
-        self._members = Membership(frozenset(), frozenset())
 
-    def follow(self, scenario: Scenario) -> None:
-        """Fly by the mission as it goes on after a word."""
-        self._formations = Formations(scenario)
-
-    def flown(self) -> Scenario:
-        """The scenario with the present graph."""
-        self._before = self._formations.of(self._members) or self._formations.scenario
-        return self._before
+    def follow(self, scenario: Scenario) -> Scenario:
+        """Fly by the mission as it goes on after a word; returns the scenario with the present graph."""
+        self.formations = Formations(scenario)
+        self.flown = self.formations.of(self.members) or scenario
+        return self.flown
 
     @property
     def leads(self) -> bool:
         """True if the UAV leads by the members that it sees."""
-        return self._before is not None and self._before.leader.id == self.uav
+        return self.flown is not None and self.flown.leader.id == self.uav
 
     def holds(self, mode: int) -> bool:
         """True if the UAV has to hold in a leg, because it is no member yet."""
-        return mode == MODE_FORMATION and self.uav in self._members.absent
+        return mode == MODE_FORMATION and self.uav in self.members.absent
 
     def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> RoleChange | None:
         """Determine the members at a step; returns the new role of the UAV if it changes.
 
         `ages_s` [s] are those of the newest states that were received, by sender.
         """
-        scenario = self._formations.scenario
         if self._began_ns is None:
             self._began_ns = max(now_ns, first_t0_ns)
         if self._looked_ns is not None:
-            self._view.pause(now_ns - self._looked_ns)
+            self.view.pause(now_ns - self._looked_ns)
         self._looked_ns = now_ns
-        others = (uav for uav in scenario.uav_ids if uav != self.uav)
+        others = (uav for uav in self.formations.scenario.uav_ids if uav != self.uav)
         ages = {uav: ages_s.get(uav, NEVER_RECEIVED_S) for uav in others}
-        self._members = self._view.at(now_ns - first_t0_ns, now_ns - self._began_ns, ages)
-        after = self._formations.of(self._members)
-        if self.uav in self._members.absent:
-            self._before = None
-            return None
-        if after is None or after is self._before:
-            return None
-        change = RoleChange(self.uav, self._before, after)
-        self._before = after
-        return change
+        return self.take(now_ns - first_t0_ns, now_ns - self._began_ns, ages)
 
 
 class UavController:
@@ -193,8 +176,7 @@ class UavController:
             held = map(int, self.slots.values.tolist())
             scenario = with_slots(scenario, dict(zip(sorted(scenario.uav_ids), held, strict=True)))
         if self._roles is not None:
-            self._roles.follow(scenario)
-            scenario = self._roles.flown()
+            scenario = self._roles.follow(scenario)
         self.go_on(agent_config(scenario, self._uav))
 
     def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
@@ -338,6 +320,84 @@ def at_epoch(own: Stamped, t0_ns: int) -> Array:
     ahead_s = seconds(max(t0_ns - own.stamp_ns, 0))
     found: Array = own.values[0:3] + ahead_s * np.array(velocity_enu(own.values))
     return found
+
+
+class UavFaults:
+    """The faults that strike one UAV, of its scenario or injected by an operator, in the stamps of its flight.
+
+    In lock-step the process carries out its own `kill`: then the flight is the same every time. In real time the
+    launcher kills.
+    """
+
+    def __init__(self, scenario: Scenario, uav_id: int, inbox: Inbox, lockstep: bool) -> None:
+        """`inbox`: of the UAV; it takes the faults of the others."""
+        self.allowed = scenario.faults is not None
+        self.injected: list[str] = []  # in flight, in words
+        self._uav, self._inbox, self._lockstep = uav_id, inbox, lockstep
+        self._scenario = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
+        self._count = len(scenario.faults or ())
+        self._own: list[tuple[FaultBlock, int]] = []  # with the instant from which its time counts
+        self._t0_ns: int | None = None
+
+    def begin(self, t0_ns: int) -> None:
+        """The first epoch is known."""
+        if self._t0_ns is None:
+            self._t0_ns = t0_ns
+            self._inbox.begin(t0_ns)
+            self._own += [(fault, t0_ns) for fault in self._scenario]
+
+    def take(self, order: OrderedFault, now_ns: int) -> None:
+        """A fault that an operator injects; in real time all UAVs count it from the same instant."""
+        alike = not self._lockstep and abs(order.stamp_ns - now_ns) < _WINDOW_NS
+        self.inject(order.fault, order.stamp_ns if alike else now_ns)
+
+    def inject(self, fault: FaultBlock, now_ns: int) -> None:
+        """A fault that begins now."""
+        if self._lockstep and fault.rule.strikes == MESSAGES:
+            return  # receivers would begin it at different ticks
+        flight_s = 0.0 if self._t0_ns is None else seconds(now_ns - self._t0_ns)
+        self.injected.append(fault.model_copy(update={"at_s": round(flight_s, 1)}).text)
+        del self.injected[:-_MOST_INJECTED]
+        fault = fault.model_copy(update={"at_s": 0.0})
+        self._inbox.inject(fault, self._count, now_ns)
+        self._count += 1
+        if fault.struck_uav == self._uav:
+            self._own.append((fault, now_ns))
+
+    def strike(self, now_ns: int) -> None:
+        """Lock-step: end this process when its time has come."""
+        if self._lockstep and any(
+            strikes(fault, "kill", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
+        ):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def plays_dead(self, now_ns: int) -> bool:
+        """Lock-step: whether a restart has this process silent; none can be started at a tick, so it plays that."""
+        return self._lockstep and any(
+            strikes(fault, "restart", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
+        )
+
+    def sent(self, message: Stamped) -> Stamped:
+        """A state (13,) of this UAV as its neighbours get it."""
+        return _sent(self._own, self._uav, message) if self._own else message
+
+
+def sent_faults(
+    scenario: Scenario, uav_id: int, t0_ns: int = 0
+) -> Callable[[Stamped], Stamped] | None:
+    """The faults of a scenario in the states of one UAV; None without any."""
+    own = [(fault, t0_ns) for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
+    return partial(_sent, own, uav_id) if own else None
+
+
+def _sent(own: Sequence[tuple[FaultBlock, int]], uav_id: int, message: Stamped) -> Stamped:
+    stamp_ns, values = message
+    for fault, t0_ns in own:
+        if strikes(fault, "nan", uav_id, message.stamp_ns, t0_ns):
+            values = without_position(values)
+        elif strikes(fault, "clock_offset", uav_id, message.stamp_ns, t0_ns):
+            stamp_ns += nanoseconds(fault.offset_s or 0.0)
+    return Stamped(stamp_ns, values)
 
 
 class FlownStep(NamedTuple):

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import rclpy
 from ptnsbc_interfaces.action import FlyLeg, FlyMission
 from ptnsbc_interfaces.msg import Emergency, Epoch, FleetState, LegOutcome, Limits, UavState
 from ptnsbc_interfaces.srv import Arm, StartLeg, Stop
@@ -20,7 +19,6 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.wire import HeaderFields
@@ -34,8 +32,7 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.emergency import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.fleet.fleet_node import Answer, LauncherNode
-from ptnsbc_nodes.runtime.node_process import make_executor
+from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, LauncherNode, LeaderClient
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.observer import FleetListener
@@ -275,7 +272,7 @@ class OperatorNode:
             Epoch, fleet + ANNOUNCED, keep_last(_MOST_EPOCHS, reliable=True, latched=True)
         ).publish
         self.endpoints.listen(topics.EPOCH, decode_leg, self._on_epoch, required=False)
-        self.calls = FleetCalls(node, scenario, fleet, signed=seal is not None)
+        self.calls = FleetCalls(node, domain, fleet, signed=seal is not None)
         node.create_service(Arm, fleet + ARM_VEHICLES, self._on_arm)
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
@@ -384,7 +381,7 @@ class OperatorNode:
         )
 
     def _on_arm(self, _request: Any, response: Any) -> Any:
-        response.accepted, response.message = self.calls.call(ARM_SERVICE, "launcher")[:2]
+        response.accepted, response.message = self.calls.call(ARM_SERVICE)[:2]
         return response
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
@@ -420,26 +417,12 @@ class OperatorNode:
 class FleetCalls:
     """Calls of the services of the leader and of the launcher, from within a callback of another node."""
 
-    def __init__(self, node: Node, scenario: Scenario, fleet: str, *, signed: bool) -> None:
+    def __init__(self, node: Node, domain: int, fleet: str, *, signed: bool) -> None:
         """`signed`: every call is refused, because these carry no seal."""
         self._signed = signed
         # A callback waits for these answers: another node's executor receives them.
-        self._node = rclpy.create_node(
-            "operator_calls",
-            namespace=node.get_namespace(),
-            context=node.context,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
-        self._executor: Any = make_executor(node.context)
-        self._executor.add_node(self._node)
-        mission = scenario.mission
-        legs = 0 if mission is None else len(mission.legs)
-        words = [CANCEL_SERVICE, *map(leg_service, range(2, legs + 1))] if legs else []
-        self.clients = {
-            name: self._node.create_client(Trigger, f"{fleet}/formation/{name}")
-            for name in (*_LEGS, *words, ARM_SERVICE)
-        }
+        self._node = FleetNode(domain, "operator_calls", fleet, within=node.context)
+        self._leader = LeaderClient(self._node)
 
     def begin(self, name: str) -> Answer:
         """Let the leader begin a leg of `_LEGS`."""
@@ -447,22 +430,10 @@ class FleetCalls:
             return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
         return self.call(name)
 
-    def call(self, name: str, who: str = "leader") -> Answer:
+    def call(self, name: str) -> Answer:
         """Call a service; waits for the answer."""
-        if self._signed:
-            return Answer(False, _SEALED)
-        client = self.clients[name]
-        if not client.service_is_ready():
-            return Answer(False, f"the {who}'s service {client.srv_name} is not there")
-        call = client.call_async(Trigger.Request())
-        self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
-        if not call.done():
-            client.remove_pending_request(call)
-            return Answer(False, f"the {who} does not answer")
-        response = call.result()
-        return Answer(bool(response.success), str(response.message))
+        return Answer(False, _SEALED) if self._signed else self._leader.ask(name, _ANSWER_S)
 
     def close(self) -> None:
         """Leave."""
-        self._executor.shutdown()
-        self._node.destroy_node()
+        self._node.leave()

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -230,18 +231,20 @@ def _objection(scenario: Scenario) -> str:
 
 def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
     from ptnsbc_nodes.fleet.fleet import run_fleet
-    from ptnsbc_tools.live.dashboard import Dashboard, Viewing
+    from ptnsbc_tools.live.dashboard import Dashboard, viewer_process
 
-    page, foxglove, dashboard = False, None, None
-    if views is not None:
-        page, foxglove = views.view, views.foxglove
-        if not (views.plain or json) and sys.stdout.isatty() and sys.stderr.isatty():
-            dashboard = Dashboard()
+    views, terminal = views or Views(plain=True), sys.stdout.isatty() and sys.stderr.isatty()
+    dashboard = Dashboard() if terminal and not (views.plain or json) else None
     say = console.say if dashboard is None else dashboard.say
-    viewing = Viewing(request.scenario, request.namespace, page, foxglove, dashboard)
+    if views.view or views.foxglove is not None or dashboard is not None:
+        words = ["--namespace", request.namespace] if request.namespace else []
+        words += [] if views.view else ["--no-page"]
+        words += [] if views.foxglove is None else ["--foxglove", str(views.foxglove)]
+        viewer = partial(viewer_process, words, request.scenario, dashboard, say)
+        request = replace(request, beside=viewer)
     try:
         with dashboard or nullcontext():
-            return run_fleet(replace(request, beside=viewing.beside(say)), say)
+            return run_fleet(request, say)
     finally:
         restore_handlers()
 

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import ros
 from ptnsbc_tools.options import (
     NamespaceOption,
@@ -19,10 +18,6 @@ from ptnsbc_tools.options import (
 )
 
 security = group("DDS Security: who may publish and read what, where the middleware has it.")
-
-
-class KeystoreError(PtnsbcError):
-    """A keystore was asked for, which `ros2 security` makes."""
 
 
 @security.callback()
@@ -51,14 +46,3 @@ def policy(
     flown = scenario_with(scenario, set_keys(settings))
     edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
     typer.echo(policy_of(enclaves(flown, edges, backend), namespace), nl=False)
-
-
-@security.command(
-    hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True}
-)
-def init() -> None:
-    """Say what makes a keystore."""
-    raise KeystoreError(
-        "ptnsbc security init is gone: write `ptnsbc security policy SCENARIO > policy.xml`, then "
-        "`ros2 security generate_artifacts -k KEYSTORE -p policy.xml` makes the keystore"
-    )

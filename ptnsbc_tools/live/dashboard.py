@@ -6,10 +6,8 @@ import json
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +37,6 @@ class Dashboard:
     def __init__(self) -> None:
         from rich.live import Live
 
-        self._lock = threading.Lock()
         self._frame: dict[str, Any] | None = None
         self._scenario: Scenario | None = None
         self._live = Live(
@@ -66,14 +63,12 @@ class Dashboard:
         self._scenario = scenario
 
         def show(frame: dict[str, Any]) -> None:
-            with self._lock:
-                self._frame = frame
+            self._frame = frame
 
         return show
 
     def _render(self) -> RenderableType:
-        with self._lock:
-            frame, scenario = self._frame, self._scenario
+        frame, scenario = self._frame, self._scenario
         if frame is None or scenario is None:
             return ""
         return picture(frame, scenario, self._live.console.width)
@@ -206,38 +201,22 @@ def _bar(error: float | None, tolerance: float) -> str:
     return f"{bar[:middle]}|{bar[middle:]}"
 
 
-@dataclass(frozen=True)
-class Viewing:
-    """The views of a flight while it is flown."""
-
-    scenario: Scenario
-    namespace: str = ""
-    page: bool = False
-    foxglove: int | None = None
-    dashboard: Dashboard | None = None
-
-    @property
-    def wanted(self) -> bool:
-        """True if anything is shown."""
-        return self.page or self.foxglove is not None or self.dashboard is not None
-
-    def beside(
-        self, say: Callable[[str], None]
-    ) -> Callable[[Mapping[str, str], Path], AbstractContextManager[None]] | None:
-        """The value for `FleetOptions.beside`; None when nothing is shown."""
-        return partial(_process, self, say) if self.wanted else None
-
-
 @contextmanager
-def _process(
-    viewing: Viewing, say: Callable[[str], None], settings: Mapping[str, str], scenario_file: Path
+def viewer_process(
+    arguments: Sequence[str],
+    scenario: Scenario,
+    dashboard: Dashboard | None,
+    say: Callable[[str], None],
+    settings: Mapping[str, str],
+    scenario_file: Path,
 ) -> Iterator[None]:
+    """Inside the `with` a process of `ptnsbc view` shows the flight; its frames go into the dashboard.
+
+    `settings` and `scenario_file` are those of `FleetOptions.beside`.
+    """
     command = [sys.executable, "-m", "ptnsbc_tools", "view", str(scenario_file), "--plain"]
-    command += ["--domain", settings["ROS_DOMAIN_ID"]]
-    command += ["--namespace", viewing.namespace] if viewing.namespace else []
-    command += [] if viewing.page else ["--no-page"]
-    command += [] if viewing.foxglove is None else ["--foxglove", str(viewing.foxglove)]
-    command += [] if viewing.dashboard is None else ["--frames"]
+    command += ["--domain", settings["ROS_DOMAIN_ID"], *arguments]
+    command += [] if dashboard is None else ["--frames"]
     process = subprocess.Popen(
         command,
         env=dict(settings),
@@ -249,7 +228,7 @@ def _process(
     )
 
     def pass_frames() -> None:
-        show = None if viewing.dashboard is None else viewing.dashboard.sink(viewing.scenario)
+        show = None if dashboard is None else dashboard.sink(scenario)
         for line in process.stdout or ():
             if show is not None:
                 show(json.loads(line))

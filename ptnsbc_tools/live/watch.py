@@ -17,7 +17,7 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_tools.live.server import Feed, LiveServer, live_page
+from ptnsbc_tools.live.server import Feed, FoxgloveSink, LiveServer, live_page
 from ptnsbc_tools.plotting.charts import COLOURS, DARK_COLOURS
 from ptnsbc_tools.report.page import obstacles_of, uav_of
 
@@ -92,8 +92,6 @@ def watch(
             say(f"live view: {server.address}")
         sinks = [feed.add, *([] if sink_of is None else [sink_of(scenario)])]
         if options.foxglove is not None:
-            from ptnsbc_tools.live.foxglove import FoxgloveSink
-
             sinks.append(stack.enter_context(FoxgloveSink(scenario, options.foxglove)))
             say(f"Foxglove: open a connection to ws://127.0.0.1:{options.foxglove}")
         shown = 0

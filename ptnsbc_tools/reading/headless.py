@@ -18,7 +18,7 @@ from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, Transfo
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
-from ptnsbc_nodes.uav.uav_faults import sent_faults
+from ptnsbc_nodes.uav.uav_controller import sent_faults
 from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.swarm import HeadlessFlight
@@ -100,7 +100,7 @@ class _StatusMessages:
             diagnostics,
             readiness,
         )
-        from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
+        from ptnsbc_nodes.uav.uav_node import PlannerSight, planner_concerns
 
         landing_ns = self._flight.scenario.landing_ns
         mode = FORMATION if landing_ns is None or stamp_ns < landing_ns else "land"

@@ -36,8 +36,7 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits
-from ptnsbc_nodes.uav.uav_faults import sent_faults
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits, sent_faults
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario
 

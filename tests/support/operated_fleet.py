@@ -66,15 +66,8 @@ class Fleet:
         self.action = ActionClient(self.client, FlyLeg, FLY_LEG)
         self.missions = ActionClient(self.client, FlyMission, FLY_MISSION)
         self.at_s, self.off, self.orders = T0_S, {}, {}  # of the bridges, by UAV
-        clients = self.operator.calls.clients.values()
-
-        def ready():
-            return all(client.service_is_ready() for client in clients)
-
         ros.spin_until(
-            lambda: (
-                all(readers() for readers in heard) and self.action.server_is_ready() and ready()
-            )
+            lambda: all(readers() for readers in heard) and self.action.server_is_ready()
         )
         ros.spin_until(self.missions.server_is_ready)
 

@@ -13,8 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import SafetyState, assess
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.uav.uav_node import UavNode
-from ptnsbc_nodes.uav.uav_status import PlannerSight, planner_concerns
+from ptnsbc_nodes.uav.uav_node import PlannerSight, UavNode, planner_concerns
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros

@@ -22,12 +22,6 @@ def test_each_process_of_the_flight_has_an_enclave():
     assert paths == {f"/blue/{name}" for name in (*vehicles, "recorder", "fleet", "operator")}
 
 
-def test_who_asks_for_a_keystore_is_told_what_makes_one():
-    told = security("init", "paper_5", "-o", "keys", "--domain", "3")
-    assert told.exit_code == 2
-    assert "ros2 security generate_artifacts -k KEYSTORE -p policy.xml" in told.output
-
-
 def test_where_the_middleware_has_no_dds_security_the_flight_is_refused(tmp_path, monkeypatch):
     from ptnsbc_nodes.security import middleware
 

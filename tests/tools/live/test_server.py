@@ -13,7 +13,16 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from ptnsbc_tools.live.server import HOST, MOST_ROWS, Feed, LiveServer, LiveServerError, order_in
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.live.server import (
+    HOST,
+    MOST_ROWS,
+    Feed,
+    FoxgloveSink,
+    LiveServer,
+    LiveServerError,
+    order_in,
+)
 
 
 def frame(t: float | None, error: float | None = 0.5) -> dict[str, Any]:
@@ -153,3 +162,36 @@ def test_a_page_that_sends_nonsense_harms_no_other(server: LiveServer) -> None:
 def test_a_port_that_is_taken_is_named(server: LiveServer) -> None:
     with pytest.raises(LiveServerError, match=f"--port {server.port}: .*: expected a free port"):
         LiveServer(Feed(), str, server.port)
+
+
+SCENARIO = load_scenario("paper_5")
+POSE = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_a_client_is_offered_the_scene_the_frames_and_the_numbers() -> None:
+    pytest.importorskip("foxglove", reason="needs foxglove-sdk (extra [foxglove])")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    uavs = [{"id": 1, "pose": POSE}, {"id": 2, "pose": None}]
+    with (
+        FoxgloveSink(SCENARIO, port) as sink,
+        connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as client,  # type: ignore[list-item]
+    ):
+        topics: set[str] = set()
+        while len(topics) < 3:
+            message = client.recv(timeout=30)
+            if isinstance(message, str) and json.loads(message)["op"] == "advertise":
+                topics |= {one["topic"] for one in json.loads(message)["channels"]}
+        assert topics == {"/scene", "/tf", "/formation/live"}
+        sink({"uavs": uavs})
+
+
+def test_a_port_for_foxglove_that_is_taken_is_named() -> None:
+    pytest.importorskip("foxglove", reason="needs foxglove-sdk (extra [foxglove])")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(LiveServerError, match=f"--foxglove {port}"):
+            FoxgloveSink(SCENARIO, port)

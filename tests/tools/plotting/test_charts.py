@@ -18,7 +18,7 @@ from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.verdict import Recording, Series
-from ptnsbc_tools.live.foxglove import FoxgloveSink
+from ptnsbc_tools.live.server import FoxgloveSink
 from ptnsbc_tools.live.watch import stage
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import (
