@@ -36,34 +36,23 @@ from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.fault_rules import PROCESS
 
-__all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
+__all__ = ["FleetError", "FleetOptions", "FleetResult", "chosen", "run_fleet"]
 
 _DIED, _INTERRUPTED = 1, 130
 _EPOCH_S = 0.5  # from the call of the leader to the epoch
 
 
 @dataclass(frozen=True)
-class ProcessReport:
-    """The end of one process."""
-
-    name: str
-    pid: int
-    exit_code: int | None  # minus the signal's number when a signal ended it
-    log: Path
-
-
-@dataclass(frozen=True)
 class FleetResult:
     """A flight that has ended, in whatever way."""
 
-    processes: tuple[ProcessReport, ...]
+    processes: Sequence[ChildProcess]
     died: tuple[str, ...]  # processes that ended before their time
     killed: tuple[str, ...]  # processes of UAVs that ended by a fault of the scenario
     interrupted: bool  # by SIGINT or SIGTERM
     bag: Path | None
-    recorded: Mapping[
-        str, Any
-    ]  # the recorder's summary; empty when it was killed before it had one
+    # The recorder's summary; empty when it was killed before it had one.
+    recorded: Mapping[str, Any]
     startup_s: float  # wall time
     flight_s: float  # wall time
 
@@ -148,7 +137,7 @@ def _fly(launch: Launch, processes: Sequence[ProcessCommand]) -> FleetResult:
     died = (*(child.name for child in supervisor.died), *supervisor.lost_elsewhere)
     summaries = [child.reports.summary for child in crew.children if child.name == RECORDER]
     return FleetResult(
-        processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in crew.children),
+        processes=crew.children,
         died=tuple(name for name in died if name not in killed),
         killed=killed,
         interrupted=stop.came,

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -285,18 +286,18 @@ def view(
     if healthy:
         raise typer.Exit(_health(number, namespace, healthy.split(",")))
     with ros.required():
-        from ptnsbc_tools.live.watch import WatchOptions, frames_on_stdout, watch
+        from ptnsbc_tools.live.watch import frames_on_stdout, watch
     from ptnsbc_tools.live.dashboard import Dashboard
 
     flown = None if scenario is None else scenario_with(scenario, {})
-    options = WatchOptions(number, namespace, flown, page=page, port=port, foxglove=foxglove)
+    look = partial(watch, number, namespace, flown, port=port if page else None, foxglove=foxglove)
     if frames:
-        watch(options, console.say, frames_on_stdout)
+        look(console.say, frames_on_stdout)
     elif plain or not sys.stdout.isatty():
-        watch(options, console.say)
+        look(console.say)
     else:
         with Dashboard() as dashboard:
-            watch(options, dashboard.say, dashboard.sink)
+            look(dashboard.say, dashboard.sink)
 
 
 def _health(domain: int, namespace: str, names: list[str]) -> int:

@@ -167,14 +167,10 @@ def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableT
             cells.append(_number(uav["battery"], 0))
         if wide:
             cells.append(" ".join(f"{metres:7.2f}" for metres in pose[:3]) if pose else "-")
-        table.add_row(*cells, style=_style(uav, tolerance))
+        good = uav["error"] is not None and uav["error"] <= tolerance
+        bad = uav["lost"] or (near and near["room"] < 0)
+        table.add_row(*cells, style="red" if bad else "green" if good else "")
     return table
-
-
-def _style(uav: dict[str, Any], tolerance: float) -> str:
-    if uav["lost"] or (uav["near"] and uav["near"]["room"] < 0):
-        return "red"
-    return "green" if uav["error"] is not None and uav["error"] <= tolerance else ""
 
 
 def _mode(uav: dict[str, Any]) -> str:

@@ -224,25 +224,21 @@ class LiveServer:
             connection.close(1013, f"more than {_MOST_PAGES} pages")
             return
         try:
-            self._talk(connection)
+            news = None
+            while not self._ended.is_set():
+                if news is None:
+                    number, version, text = self._feed.begin()
+                    messages = [text]
+                else:
+                    number, messages = news
+                for message in messages:
+                    connection.send(message)
+                self._take_orders(connection)
+                news = self._feed.after(number, version, _LOOK_S)
         except ConnectionClosed:
             pass
         finally:
             self._pages.release()
-
-    def _talk(self, connection: ServerConnection) -> None:
-        number, version, text = self._feed.begin()
-        connection.send(text)
-        while not self._ended.is_set():
-            self._take_orders(connection)
-            news = self._feed.after(number, version, _LOOK_S)
-            if news is None:
-                number, version, text = self._feed.begin()
-                connection.send(text)
-                continue
-            number, messages = news
-            for message in messages:
-                connection.send(message)
 
     def _take_orders(self, connection: ServerConnection) -> None:
         while True:

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -62,38 +61,34 @@ Sink = Callable[[dict[str, Any]], None]
 """Takes every frame (`FlightState.frame`)."""
 
 
-@dataclass(frozen=True)
-class WatchOptions:
-    """The fleet to watch, and how it is shown."""
-
-    domain: int
-    namespace: str = ""
-    scenario: Scenario | None = None  # None: as a UAV says
-    page: bool = True
-    port: int = 0
-    foxglove: int | None = None  # port
-
-
 def watch(
-    options: WatchOptions,
+    domain: int,
+    namespace: str,
+    scenario: Scenario | None,
     say: Callable[[str], None],
     sink_of: Callable[[Scenario], Sink] | None = None,
+    *,
+    port: int | None = 0,
+    foxglove: int | None = None,
 ) -> None:
-    """Look at a fleet until SIGINT or SIGTERM; `sink_of` makes a further receiver of its frames."""
+    """Look at a fleet until SIGINT or SIGTERM, on a page and for Foxglove, each on a port of its own if it has one.
+
+    Without a `scenario` a UAV says what is flown; `sink_of` makes a further receiver of its frames.
+    """
     with StopRequest() as stop, ExitStack() as stack:
-        observer = stack.enter_context(Observer(options.domain, options.namespace))
-        scenario = options.scenario or observer.scenario(_JOIN_S, lambda: stop.came)
+        observer = stack.enter_context(Observer(domain, namespace))
+        scenario = scenario or observer.scenario(_JOIN_S, lambda: stop.came)
         state = observer.watch(scenario)
         feed = Feed()
         feed.set_stage(stage(scenario))
         server = None
-        if options.page:
-            server = stack.enter_context(LiveServer(feed, live_page, options.port))
+        if port is not None:
+            server = stack.enter_context(LiveServer(feed, live_page, port))
             say(f"live view: {server.address}")
         sinks = [feed.add, *([] if sink_of is None else [sink_of(scenario)])]
-        if options.foxglove is not None:
-            sinks.append(stack.enter_context(FoxgloveSink(scenario, options.foxglove)))
-            say(f"Foxglove: open a connection to ws://127.0.0.1:{options.foxglove}")
+        if foxglove is not None:
+            sinks.append(stack.enter_context(FoxgloveSink(scenario, foxglove)))
+            say(f"Foxglove: open a connection to ws://127.0.0.1:{foxglove}")
         shown = 0
         while not stop.came:
             observer.spin(1.0 / FRAMES_HZ)
@@ -104,17 +99,16 @@ def watch(
             for sink in sinks:
                 sink(frame)
             while server is not None and not server.orders.empty():
-                feed.answer(_obey(server.orders.get(), observer, options))
+                feed.answer(_obey(server.orders.get(), observer, domain, namespace))
 
 
-def _obey(order: str, observer: Observer, options: WatchOptions) -> str:
+def _obey(order: str, observer: Observer, domain: int, namespace: str) -> str:
     """Give an order to the fleet; what has become of it, in a line."""
     if order != "stop":
         refusal = observer.call(order)
         return f"{order}: {refusal or 'the leader has announced it'}"
-    command = [sys.executable, "-m", "ptnsbc_tools", "stop", "--domain", str(options.domain)]
-    if options.namespace:
-        command += ["--namespace", options.namespace]
+    command = [sys.executable, "-m", "ptnsbc_tools", "stop", "--domain", str(domain)]
+    command += ["--namespace", namespace] if namespace else []
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_STOP_S)
     except subprocess.TimeoutExpired:

@@ -115,7 +115,7 @@ def test_before_the_flight_only_stop_can_be_given_and_the_board_says_what_is_awa
 )
 def test_hold_is_a_call_to_the_fleet(refusal: str | None, said: str) -> None:
     pytest.importorskip("rclpy")
-    from ptnsbc_tools.live.watch import WatchOptions, _obey
+    from ptnsbc_tools.live.watch import _obey
 
     called: list[str] = []
 
@@ -124,7 +124,7 @@ def test_hold_is_a_call_to_the_fleet(refusal: str | None, said: str) -> None:
         return refusal
 
     observer: Any = SimpleNamespace(call=call)
-    assert _obey("hold", observer, WatchOptions(7)) == said
+    assert _obey("hold", observer, 7, "") == said
     assert called == ["hold"]
 
 
@@ -141,9 +141,8 @@ def test_stop_is_the_command_and_says_what_it_said(monkeypatch: pytest.MonkeyPat
         return SimpleNamespace(stderr="uav1: lands\nuav2: lands\n")
 
     monkeypatch.setattr(subprocess, "run", run)
-    options = watch.WatchOptions(7, "/blue")
     observer: Any = None
-    assert watch._obey("stop", observer, options) == "stop: uav1: lands; uav2: lands"
-    assert watch._obey("stop", observer, options) == "stop: no answer in 30 s"
+    assert watch._obey("stop", observer, 7, "/blue") == "stop: uav1: lands; uav2: lands"
+    assert watch._obey("stop", observer, 7, "/blue") == "stop: no answer in 30 s"
     words = ["-m", "ptnsbc_tools", "stop", "--domain", "7", "--namespace", "/blue"]
     assert ran == [[sys.executable, *words]] * 2
