@@ -26,7 +26,7 @@ class Finding:
 
 
 def judge(key: str, value: str, limit: str, advice: str = "", severity: str = WARNING) -> Finding:
-    """What was found; of the severity where there is something to change, else good to know."""
+    """A finding: of the severity where there is something to change, else good to know."""
     return Finding(severity if advice else INFO, key, value, limit, advice)
 
 
