@@ -98,19 +98,13 @@ class SeveralParents(NamedTuple):
 
 def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
     """The parents of a UAV with several; None where it has one."""
-    weights, first = (
-        scenario.communication.weights_of(uav_id),
-        scenario.communication.parent(uav_id),
-    )
+    links = scenario.communication
+    weights, first = links.weights_of(uav_id), links.parent(uav_id)
     if not weights or first is None:
         return None
-    shifts = [scenario.offset(first) - scenario.offset(one) for one in weights]
-    return SeveralParents(
-        tuple(weights),
-        np.array(list(weights.values())),
-        np.stack(shifts),
-        float(scenario.communication.stale_s),
-    )
+    shifts = np.stack([scenario.offset(first) - scenario.offset(one) for one in weights])
+    shares = np.array(list(weights.values()))
+    return SeveralParents(tuple(weights), shares, shifts, float(links.stale_s))
 
 
 def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
@@ -200,9 +194,8 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     gains = scenario.gains.clearance
     loops = loop_lag_s(scenario)
     unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
-    number = 1 + scenario.uav_ids.index(
-        uav_id
-    )  # in a second deadlock_s any two are a keep-out apart
+    # In a second deadlock_s any two are a keep-out apart.
+    number = 1 + scenario.uav_ids.index(uav_id)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
     return ClearanceConfig(
         rule=AVOIDANCE[scenario.formation.avoidance],

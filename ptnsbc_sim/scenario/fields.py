@@ -169,14 +169,8 @@ class Wave(BaseModel):
     shape: str
 
 
-Waves = Annotated[
-    tuple[
-        Annotated[Wave, BeforeValidator(_wave)],
-        Annotated[Wave, BeforeValidator(_wave)],
-        Annotated[Wave, BeforeValidator(_wave)],
-    ],
-    BeforeValidator(three),
-]
+_AnyWave = Annotated[Wave, BeforeValidator(_wave)]
+Waves = Annotated[tuple[_AnyWave, _AnyWave, _AnyWave], BeforeValidator(three)]
 
 
 def rows_of(text: str, names: str, widths: Sequence[int]) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import WrapValidator
@@ -300,18 +299,13 @@ _PLANT: dict[str, dict[str, Any]] = {
 }
 
 
+_PICKLED = {  # loading them is a tenth of the work of copying them
+    plant: pickle.dumps(_COMMON | {key: _COMMON.get(key, {}) | own[key] for key in own})
+    for plant, own in _PLANT.items()
+}
+
+
 def gain_defaults(plant: str) -> dict[str, Any]:
     """The default `gains` block of a plant kind, a fresh copy."""
-    fresh: dict[str, Any] = pickle.loads(_pickled(plant if plant in _PLANT else "quadrotor"))
+    fresh: dict[str, Any] = pickle.loads(_PICKLED.get(plant, _PICKLED["quadrotor"]))
     return fresh
-
-
-@cache
-def _pickled(plant: str) -> bytes:
-    """The defaults as bytes: loading them is a tenth of the work of copying them."""
-    return pickle.dumps(
-        {
-            **_COMMON,
-            **{key: {**_COMMON.get(key, {}), **block} for key, block in _PLANT[plant].items()},
-        }
-    )

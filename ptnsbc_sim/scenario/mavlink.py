@@ -151,21 +151,5 @@ class VehicleLink(NamedTuple):
     setpoint: SetpointKind
     origin_m: tuple[float, float, float] | None
     signing_key: str | None
-    velocity_loop_1_s: float | None = None
-    tilt_lag_s: float | None = None
-
-
-def vehicle_link(block: Mavlink, uav_ids: tuple[int, ...], uav_id: int) -> VehicleLink:
-    """The link of one UAV. Default: the PX4 simulation with the same number."""
-    number = uav_ids.index(uav_id)
-    own = block.vehicles.get(uav_id, MavlinkVehicle())
-    return VehicleLink(
-        own.connect or f"udpin:127.0.0.1:{FIRST_PORT + number}",
-        own.sysid or number + 1,
-        own.autopilot or block.autopilot,
-        own.setpoint or block.setpoint,
-        own.origin_m,
-        own.signing_key,
-        own.velocity_loop_1_s,
-        own.tilt_lag_s,
-    )
+    velocity_loop_1_s: float | None
+    tilt_lag_s: float | None

@@ -30,7 +30,7 @@ from ptnsbc_sim.scenario.fields import (
     Waves,
 )
 from ptnsbc_sim.scenario.gains import Gains
-from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
+from ptnsbc_sim.scenario.mavlink import FIRST_PORT, Mavlink, MavlinkVehicle, VehicleLink
 from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, NEVER_NS, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
@@ -523,8 +523,19 @@ class ScenarioFile(Block):
         return plant_of(self.plant, self.uav(uav_id))
 
     def vehicle_link(self, uav_id: int) -> VehicleLink:
-        """Connection to the flight controller of one UAV."""
-        return vehicle_link(self.mavlink, self.uav_ids, self.uav(uav_id).id)
+        """Connection to the flight controller of one UAV. Default: the PX4 simulation with the same number."""
+        number = self.uav_ids.index(self.uav(uav_id).id)
+        vehicle = self.mavlink.vehicles.get(uav_id, MavlinkVehicle())
+        connect = vehicle.connect or f"udpin:127.0.0.1:{FIRST_PORT + number}"
+        autopilot = vehicle.autopilot or self.mavlink.autopilot
+        setpoint = vehicle.setpoint or self.mavlink.setpoint
+        rest = (
+            vehicle.origin_m,
+            vehicle.signing_key,
+            vehicle.velocity_loop_1_s,
+            vehicle.tilt_lag_s,
+        )
+        return VehicleLink(connect, vehicle.sysid or number + 1, autopilot, setpoint, *rest)
 
     def max_speed_m_s(self, uav_id: int) -> float:
         """Limit of the commanded speed of one UAV."""

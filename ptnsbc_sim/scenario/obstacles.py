@@ -51,20 +51,14 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "ground": ("height_m",),
     "map": ("file", "samples", "resolution_m"),
 }
-_NEEDED: dict[str, tuple[str, ...]] = {
-    "box": ("size_m",),
-    "cylinder": ("radius_m",),
-    "plane": ("normal",),
-    "half_space": ("normal",),
-    "ground": ("height_m",),
-    "map": ("samples",),
-}
-_EXPECTED = {
-    "size_m": "the length of three edges",
-    "radius_m": "a radius in m",
-    "normal": "a direction of three numbers",
-    "height_m": "the height of the ground in m",
-    "samples": "file: NAME and resolution_m, or the boxes",
+_NORMAL = ("normal", "a direction of three numbers")
+_NEEDED = {
+    "box": ("size_m", "the length of three edges"),
+    "cylinder": ("radius_m", "a radius in m"),
+    "plane": _NORMAL,
+    "half_space": _NORMAL,
+    "ground": ("height_m", "the height of the ground in m"),
+    "map": ("samples", "file: NAME and resolution_m, or the boxes"),
 }
 _THIN_M = 0.02  # as thick as a surface is drawn
 _OWN = tuple(dict.fromkeys(key for keys in _KEYS.values() for key in keys))
@@ -106,10 +100,15 @@ class ObstacleBlock(Block):
 
 def obstacle_problems(block: ObstacleBlock) -> Iterator[str]:
     """The problems of an obstacle, as `key: value: expectation` below it."""
-    yield from _wrong_keys(block)
-    if block.kind not in ("ground", "map") and (block.position_m is None) == (
-        block.trajectory is None
-    ):
+    for key in _OWN:
+        given = key in block.model_fields_set and getattr(block, key) is not None
+        if given and key not in _KEYS[block.kind]:
+            yield f"{key}: not a key of kind {block.kind}: expected {', '.join(_KEYS[block.kind])}"
+    need = _NEEDED.get(block.kind)
+    if need and getattr(block, need[0]) is None:
+        yield f"{need[0]}: missing: expected {need[1]}"
+    either = (block.position_m is None) != (block.trajectory is None)
+    if block.kind not in ("ground", "map") and not either:
         what = "missing" if block.position_m is None else "given beside trajectory"
         yield f"position_m: {what}: expected either position_m or trajectory"
     if block.kind == "sphere" and block.keep_out_m == 0.0:
@@ -126,16 +125,6 @@ def obstacle_problems(block: ObstacleBlock) -> Iterator[str]:
     if block.trajectory is not None:
         for problem in trajectory_problems(block.trajectory):
             yield f"trajectory.{problem}"
-
-
-def _wrong_keys(block: ObstacleBlock) -> Iterator[str]:
-    for key in _OWN:
-        given = key in block.model_fields_set and getattr(block, key) is not None
-        if given and key not in _KEYS[block.kind]:
-            yield f"{key}: not a key of kind {block.kind}: expected {', '.join(_KEYS[block.kind])}"
-    for key in _NEEDED.get(block.kind, ()):
-        if getattr(block, key) is None:
-            yield f"{key}: missing: expected {_EXPECTED[key]}"
 
 
 def bodies(block: ObstacleBlock) -> Iterator[ObstacleBlock]:

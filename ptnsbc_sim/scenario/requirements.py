@@ -50,23 +50,16 @@ def _rotates(file: ScenarioFile) -> bool:
     return any(isinstance(leg, ChangeLeg) and leg.rotation_rad != 0.0 for leg in _legs(file))
 
 
-def _at_rest(file: ScenarioFile) -> bool:
-    return not (file.formation.moves or moves_shape(file.mission))
-
-
 RELATIVE, PLANNED = _word("task", "relative_position"), _word("approach", "planned")
-FIXED, WORLD, WAITING = (
-    _word("assignment", "fixed"),
-    _word("frame", "world"),
-    _word("vacancy", "wait"),
-)
+FIXED, WORLD = _word("assignment", "fixed"), _word("frame", "world")
+WAITING = _word("vacancy", "wait")
 NO_SIGHT = Condition(
     "formation.sight_m", "0", lambda f: f"{f.formation.sight_m:g}" if f.formation.sight_m else None
 )
 AT_REST = Condition(
     "formation",
     "a shape that does not move, without frame: heading, changes, or legs of kind take_off, change or split",
-    lambda f: None if _at_rest(f) else "",
+    lambda f: "" if f.formation.moves or moves_shape(f.mission) else None,
 )
 NO_CHANGES = Condition("formation.changes", "none", lambda f: "" if f.formation.changes else None)
 NO_MISSION = Condition("mission", "none", lambda f: "legs" if f.mission else None)
@@ -108,11 +101,7 @@ REQUIREMENTS = (
     Requirement(
         "a mission that changes the shape or splits", lambda f: moves_shape(f.mission), (RELATIVE,)
     ),
-    Requirement(
-        "a leg of kind split",
-        lambda f: any(isinstance(leg, SplitLeg) for leg in _legs(f)),
-        (WORLD, FIXED, NO_ROTATION),
-    ),
+    Requirement("a leg of kind split", _splits, (WORLD, FIXED, NO_ROTATION)),
     Requirement(
         "a law or a task of your own, which is told one place for each UAV",
         lambda f: f.law or f.plugins.task,

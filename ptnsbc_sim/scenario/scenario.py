@@ -17,9 +17,9 @@ from ptnsbc_sim.scenario.gains import gain_defaults
 from ptnsbc_sim.scenario.mission.completion import resolved, with_first_leg
 from ptnsbc_sim.scenario.mission.legs import (
     FROM_KEY,
+    LandLeg,
     ScheduledLeg,
     Word,
-    landing_s,
     schedule,
     takes_off_from_starts,
 )
@@ -75,9 +75,7 @@ class Scenario(ScenarioFile):
     The blocks and keys of the file are attributes: `scenario.timing.duration_s`.
     """
 
-    model_config = ConfigDict(
-        defer_build=True
-    )  # it is built from a validated file, never validated
+    model_config = ConfigDict(defer_build=True)  # built from a validated file, never validated
 
     topology: Topology
     """The communication graph."""
@@ -172,8 +170,8 @@ class Scenario(ScenarioFile):
     @property
     def landing_ns(self) -> int | None:
         """The time at which the leg `land` begins, after the first epoch [ns]; None without one."""
-        begin_s = landing_s(self.legs)
-        return None if begin_s is None else nanoseconds(begin_s)
+        begins_s = (one.begin_s for one in self.legs if isinstance(one.leg, LandLeg))
+        return next(map(nanoseconds, begins_s), None)
 
     def bridged(self) -> Scenario:
         """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing.

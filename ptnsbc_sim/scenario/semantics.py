@@ -15,7 +15,6 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario.fields import AUTO
 from ptnsbc_sim.scenario.gains import Gains, Loop
-from ptnsbc_sim.scenario.mavlink import vehicle_link
 from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.mission.legs import (
     ChangeLeg,
@@ -135,30 +134,6 @@ def estimator_step(file: ScenarioFile, topology: Topology) -> float:
     peak = estimator_peak(file) / topology.lambda_min
     rate = peak + gains.k1_1_s + gains.k2 / gains.boundary
     return float(rate * topology.lambda_max / file.timing.control_hz)
-
-
-def graph(file: ScenarioFile, source: str) -> Topology:
-    """The communication graph of a file without `problems`.
-
-    Raises:
-        TopologyError: the graph cannot carry the formation.
-        GainError: the estimator is not stable on this graph.
-    """
-    links = file.communication
-    try:
-        topology = validated_topology(
-            file.leader.id, file.uav_ids, links.tree, links.leader_links, links.estimator_edges
-        )
-    except TopologyError as error:
-        raise TopologyError(f"{source}: {error}") from None  # it names its own keys
-    step = estimator_step(file, topology) if len(file.uavs) > 1 else 0.0
-    if step >= STABILITY_LIMIT:
-        raise GainError(
-            f"{source}: gains.estimator: dt (Xi/lambda_min + k1 + k2/boundary) lambda_max = "
-            f"{step:.3g}: expected < {STABILITY_LIMIT:g}; raise gains.estimator.boundary or "
-            "deadline_s, give more leader_links, or raise timing.control_hz"
-        )
-    return topology
 
 
 _CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
@@ -385,7 +360,7 @@ def _mavlink(file: ScenarioFile) -> Problems:
     for key in block.overrides:
         if key.split(".")[0] not in ("gains", "formation"):
             yield f"mavlink.overrides.{key}: expected a key below gains or formation"
-    links = {uav: vehicle_link(block, ids, uav) for uav in ids}
+    links = {uav: file.vehicle_link(uav) for uav in ids}
     for what in ("sysid", "connect", "signing_key"):
         values = {uav: getattr(link, what) for uav, link in links.items()}
         own = {uav: str(value) for uav, value in values.items() if value is not None}
@@ -460,8 +435,28 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
 
 
 def checked(file: ScenarioFile, source: str) -> Topology:
-    """The communication graph of `file`; raises on the first thing that does not fit together."""
+    """The communication graph of `file`, all of which fits together.
+
+    Raises:
+        ScenarioError: the first thing that does not.
+        TopologyError: the graph cannot carry the formation.
+        GainError: the estimator is not stable on this graph.
+    """
     for check in _CHECKS:
         for problem in check(file):
             raise ScenarioError(f"{source}: {problem}")
-    return graph(file, source)
+    links = file.communication
+    try:
+        topology = validated_topology(
+            file.leader.id, file.uav_ids, links.tree, links.leader_links, links.estimator_edges
+        )
+    except TopologyError as error:
+        raise TopologyError(f"{source}: {error}") from None  # it names its own keys
+    step = estimator_step(file, topology) if len(file.uavs) > 1 else 0.0
+    if step >= STABILITY_LIMIT:
+        raise GainError(
+            f"{source}: gains.estimator: dt (Xi/lambda_min + k1 + k2/boundary) lambda_max = "
+            f"{step:.3g}: expected < {STABILITY_LIMIT:g}; raise gains.estimator.boundary or "
+            "deadline_s, give more leader_links, or raise timing.control_hz"
+        )
+    return topology

@@ -12,19 +12,15 @@ from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
 _SHAPE = geometry.graph, geometry.shape, geometry.spacing, geometry.moving_spacing
+_STARTS = (geometry.starts_clear,)
 _GAINS = gains.steps, gains.order, gains.printed
 _APPROACH = geometry.slots, geometry.turn, gains.feasible, gains.within_flight, gains.changes
 _MISSION = mission.legs, mission.words, mission.membership, mission.trajectory
 _OBSTACLES = geometry.encounters, geometry.recovery, geometry.sensor
+_CHANCE = gains.positioning, mission.faults
 _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
-    *_SHAPE,
-    geometry.starts_clear,
-    *_GAINS,
-    *_APPROACH,
-    *_MISSION,
-    *_OBSTACLES,
-    gains.positioning,
-    mission.faults,
+    *(_SHAPE + _STARTS + _GAINS),
+    *(_APPROACH + _MISSION + _OBSTACLES + _CHANCE),
 )
 
 

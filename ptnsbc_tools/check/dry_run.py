@@ -30,15 +30,10 @@ def flown(scenario: Scenario, runs: int = RUNS, progress: Progress | None = None
         advice = "; or ".join(mended) or (
             "no longer deadline, other task, graph or avoidance mended it: move starts or places apart"
         )
-    findings = [
-        Finding(
-            ERROR if not accepted else WARNING if done.met < of else INFO,
-            KEY,
-            f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}",
-            f">= {100 * done.least:g} %, and the unperturbed flight",
-            advice,
-        )
-    ]
+    severity = ERROR if not accepted else WARNING if done.met < of else INFO
+    value = f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}"
+    limit = f">= {100 * done.least:g} %, and the unperturbed flight"
+    findings = [Finding(severity, KEY, value, limit, advice)]
     worst, room = done.worst, done.least_room_m
     if not worst.met:
         value = f"UAV {worst.uav} {worst.verdict}"

@@ -164,11 +164,9 @@ def _times(scenario: Scenario) -> Findings:
         for verb in ("joins", "leaves"):
             key, at_s = f"{verb}_s", getattr(uav, f"{verb}_s")
             if at_s is not None and at_s >= end_s:
-                value, limit = (
-                    f"{at_s:g} s: UAV {uav.id} never {verb}",
-                    f"< timing.duration_s, {end_s:g} s",
-                )
-                yield judge(f"uavs[{index}].{key}", value, limit, f"lower {key}, or fly longer")
+                value = f"{at_s:g} s: UAV {uav.id} never {verb}"
+                limit, advice = f"< timing.duration_s, {end_s:g} s", f"lower {key}, or fly longer"
+                yield judge(f"uavs[{index}].{key}", value, limit, advice)
         joins_s = uav.joins_s
         if joins_s is None or joins_s >= end_s:
             continue
@@ -186,22 +184,29 @@ def _times(scenario: Scenario) -> Findings:
 
 def _lead(scenario: Scenario) -> Findings:
     """The leaders, by the plan and by the faults that end processes; what is lost unforeseen is not known here."""
-    formations, line = Formations(scenario), scenario.leader.successors
-    free_s = None  # from when the first leader is away
+    line, stale_ns = scenario.leader.successors, nanoseconds(float(scenario.communication.stale_s))
+    plan_ns = {uav.id: (uav.joins_ns, uav.leaves_ns) for uav in scenario.uavs}
+    gone_ns = {uav: [(0, joins), (leaves, NEVER_NS)] for uav, (joins, leaves) in plan_ns.items()}
+    for fault in modelled(scenario.faults):
+        if fault.rule.strikes == PROCESS and fault.struck_uav is not None:
+            since, until = fault.window_ns(0)
+            gone_ns[fault.struck_uav].append((since + stale_ns, until))
+    formations, leader = Formations(scenario), scenario.leader.id
     away: set[int] = set()
-    spans = (span for uav in scenario.uav_ids for span in _gone_ns(scenario, uav, killed=True))
-    changes_s = {seconds(at_ns) for span in spans for at_ns in span}
-    for at_s in sorted(at for at in changes_s if 0.0 <= at < scenario.timing.duration_s):
-        absent = _absent(scenario, at_s, killed=True)
+    changes_ns = {at_ns for spans in gone_ns.values() for span in spans for at_ns in span}
+    for at_ns in sorted(at for at in changes_ns if seconds(at) < scenario.timing.duration_s):
+        absent = {
+            uav
+            for uav, spans in gone_ns.items()
+            if any(since <= at_ns < until for since, until in spans)
+        }
+        if leader in absent - away:
+            yield from _idle_successors(scenario, seconds(at_ns), absent, away | absent)
         away |= absent
-        leader_away = scenario.leader.id in absent
-        if free_s is None and leader_away:
-            free_s = at_s
-            yield from _idle_successors(scenario, at_s, absent, away)
         if formations.of(Membership(frozenset(absent), frozenset(away - absent))) is None:
-            planned = not {scenario.leader.id, *line} - _absent(scenario, at_s, killed=False)
-            value = f"[{', '.join(map(str, line))}]: from {at_s:g} s on nobody leads: all hold"
-            limit = "a successor that is there then"
+            planned = not any(plan_ns[uav][0] <= at_ns < plan_ns[uav][1] for uav in (leader, *line))
+            at = f"from {seconds(at_ns):g} s on nobody leads: all hold"
+            value, limit = f"[{', '.join(map(str, line))}]: {at}", "a successor that is there then"
             advice = "name one, or let the leader or a successor stay"
             yield judge("leader.successors", value, limit, advice, ERROR if planned else WARNING)
             return
@@ -214,29 +219,8 @@ def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: se
             why = "is away then" if uav in absent else "was away before"
             value = f"UAV {uav} {why}, when the lead is free at {at_s:g} s"
             limit = "a UAV that is there from the begin on until then"
-            yield judge(
-                f"leader.successors[{index}]", value, limit, "name another one, or let it stay"
-            )
-
-
-def _absent(scenario: Scenario, at_s: float, *, killed: bool) -> set[int]:
-    at_ns = nanoseconds(at_s)
-    return {
-        uav
-        for uav in scenario.uav_ids
-        if any(since <= at_ns < until for since, until in _gone_ns(scenario, uav, killed=killed))
-    }
-
-
-def _gone_ns(scenario: Scenario, uav: int, *, killed: bool) -> list[tuple[int, int]]:
-    """The spans [ns] in which a UAV is away; `killed`: also those of faults that end its process."""
-    found = [(0, scenario.uav(uav).joins_ns), (scenario.uav(uav).leaves_ns, NEVER_NS)]
-    stale_ns = nanoseconds(float(scenario.communication.stale_s))
-    for fault in modelled(scenario.faults) if killed else ():
-        if fault.rule.strikes == PROCESS and fault.struck_uav == uav:
-            since, until = fault.window_ns(0)
-            found.append((since + stale_ns, until))
-    return [(since, until) for since, until in found if since < until]
+            advice = "name another one, or let it stay"
+            yield judge(f"leader.successors[{index}]", value, limit, advice)
 
 
 def faults(scenario: Scenario) -> Findings:
@@ -245,10 +229,8 @@ def faults(scenario: Scenario) -> Findings:
     for index, fault in enumerate(scenario.faults or ()):
         key = f"faults[{index}]"
         if fault.at_s >= end_s:
-            limit, advice = (
-                f"< timing.duration_s, {end_s:g} s",
-                "it never begins: lower at_s, or fly longer",
-            )
+            limit = f"< timing.duration_s, {end_s:g} s"
+            advice = "it never begins: lower at_s, or fly longer"
             yield judge(f"{key}.at_s", f"{fault.at_s:g} s", limit, advice)
         elif fault not in modelled(scenario.faults):
             yield judge(key, fault.text, "every flight injects it", "only in real time", INFO)

@@ -34,9 +34,7 @@ APART_M = 0.2
 GRID_DEG = tuple(sign * degrees for degrees in range(15, 121, 15) for sign in (1, -1))
 """The turns that are tried, the smaller ones first. A positive turn passes on the right, as avoidance does."""
 
-_OF_ENDS = (
-    0.85  # what a pair keeps of its distance at start and end, where these are nearer than clear
-)
+_OF_ENDS = 0.85  # of its distance at start and end a pair keeps, where these are nearer than clear
 _SAMPLES = 241
 
 

@@ -102,6 +102,9 @@ _AMOUNTS = tuple(rule.needs for rule in FAULTS.values() if rule.needs)
 _OF_UAV = re.compile(r"(?:uav|bridge)(\d+)")
 
 
+ProcessName = Annotated[str, Field(pattern=r"^((uav|bridge)[1-9]\d{0,2}|sim|recorder)$")]
+
+
 class FaultBlock(Block):
     """A fault and its victim."""
 
@@ -111,9 +114,7 @@ class FaultBlock(Block):
     """Mission time at which it begins, counted from the first epoch."""
     uav: UavId | None = None
     """Id of the UAV that it strikes."""
-    process: Annotated[str, Field(pattern=r"^((uav|bridge)[1-9]\d{0,2}|sim|recorder)$")] | None = (
-        None
-    )
+    process: ProcessName | None = None
     """`kill`, `freeze`, `restart`: the process, if it is not that of `uav`."""
     duration_s: Positive | None = None
     """Duration. Default: to the end of the flight."""

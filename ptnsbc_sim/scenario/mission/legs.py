@@ -329,10 +329,8 @@ def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Ite
 
 def moves_shape(mission: Mission | None) -> bool:
     """True if a leg of the mission moves places beside the leader."""
-    return any(
-        isinstance(leg, TakeOffLeg | ChangeLeg | SplitLeg)
-        for leg in (mission.legs if mission else ())
-    )
+    legs = mission.legs if mission else ()
+    return any(isinstance(leg, TakeOffLeg | ChangeLeg | SplitLeg) for leg in legs)
 
 
 def takes_off(mission: Mission | None) -> bool:
@@ -405,8 +403,3 @@ def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
         and (isinstance(later.leg, kinds) or (stops and later.number == CANCEL))
         for later in legs
     )
-
-
-def landing_s(legs: Sequence[ScheduledLeg]) -> float | None:
-    """The begin of the landing [s]; None without one."""
-    return next((one.begin_s for one in legs if isinstance(one.leg, LandLeg)), None)

@@ -1,4 +1,4 @@
-"""The moving parts of a flight, as tables of polynomials: the path of the leader through the legs, and places beside it.
+"""The moving parts of a flight, as tables of polynomials: the leader's path through the legs, and places beside it.
 
 Between two knots the path has the position, velocity, acceleration and jerk of both, by a polynomial of degree 7
 (Hermite interpolation). From rest to rest that is the time profile of the method. A trajectory that the leader follows
@@ -192,11 +192,10 @@ def _follow(block: AnyPath, begin_s: float, from_s: float, until_s: float) -> li
     times = _knot_times(block, curve, from_s, until_s - begin_s)
     at = curve_samples(curve, times)
     at[:, YAW] = np.unwrap(at[:, YAW])
-    knots = [
+    return [
         _Knot(begin_s + float(t), row, 2 if rough and k else 4)
         for k, (t, row) in enumerate(zip(times, at, strict=True))
     ]
-    return knots
 
 
 def _knot_times(block: AnyPath, curve: Trajectory, first: float, last: float) -> Array:

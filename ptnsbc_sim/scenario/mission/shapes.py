@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -56,22 +57,11 @@ class Change(Reshaping):
     """Begin, after the first epoch."""
 
 
-def _v(size: int, spacing: float) -> Array:
-    """A wedge, the leader at its tip."""
-    rows, sides = _arms(size)
-    return spacing * np.stack([-0.8 * rows, 0.6 * sides * rows, 0.0 * rows], axis=1)
-
-
-def _line(size: int, spacing: float) -> Array:
-    """Side by side, left and right of the leader in turn."""
-    rows, sides = _arms(size)
-    return spacing * np.stack([0.0 * rows, sides * rows, 0.0 * rows], axis=1)
-
-
-def _arms(size: int) -> tuple[Array, Array]:
-    """How many places from the leader every UAV is, and on which side: 1 left, -1 right."""
+def _arms(size: int, spacing: float, ahead: float, aside: float) -> Array:
+    """Two arms from the leader, left and right of it in turn: a wedge, or a line side by side."""
     rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
-    return rows, np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+    sides = np.array([aside if uav % 2 else -aside for uav in range(size)])
+    return spacing * np.stack([ahead * rows, sides * rows, 0.0 * rows], axis=1)
 
 
 def _column(size: int, spacing: float) -> Array:
@@ -111,8 +101,8 @@ def _sphere(size: int, spacing: float) -> Array:
 
 
 SHAPES: Mapping[str, Callable[[int, float], Array]] = {
-    "v": _v,
-    "line": _line,
+    "v": partial(_arms, ahead=-0.8, aside=0.6),
+    "line": partial(_arms, ahead=0.0, aside=1.0),
     "column": _column,
     "grid": _grid,
     "circle": _circle,
@@ -129,19 +119,14 @@ def named_places(block: ShapeBlock, size: int) -> Array:
     Raises:
         ValueError: a key is missing, or the file does not fit, in words that follow `shape.`.
     """
-    if block.kind == "file":
-        return _places_of(block.samples, size)
-    if block.spacing_m is None:
-        raise ValueError("spacing_m: missing: expected a number in m")
-    return SHAPES[block.kind](size, block.spacing_m)
-
-
-def _places_of(text: str | None, size: int) -> Array:
-    """Places (N, 3) [m] from CSV text with a row for each follower."""
-    if text is None:
+    if block.kind != "file":
+        if block.spacing_m is None:
+            raise ValueError("spacing_m: missing: expected a number in m")
+        return SHAPES[block.kind](size, block.spacing_m)
+    if block.samples is None:
         raise ValueError("file: missing: expected the name of a CSV file, or samples")
     try:
-        places = rows_of(text, "x, y, z", (3,))
+        places = rows_of(block.samples, "x, y, z", (3,))
     except ValueError as error:
         raise ValueError(f"samples: {error}") from None
     if len(places) != size - 1:
@@ -172,9 +157,7 @@ def nearest_places(starts: Array, places: Array, *, centred: bool = False) -> ND
     Returns:
         Row of `places` (N,) for each row of `starts`.
     """
-    from scipy.optimize import (
-        linear_sum_assignment,  # late: half a second, and few processes decide
-    )
+    from scipy.optimize import linear_sum_assignment  # late: half a second, and few decide
 
     if centred:
         starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
