@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -282,9 +282,8 @@ def run(
     if progress is not None:
         progress(done, plan.draws)
     failed = []
-    attempts = _with_dask if scheduler is not None else _with_processes
     queue = _Queue(plan, missing)
-    for outcome in attempts(queue, scheduler or "", workers or cores()):
+    for outcome in _attempts(queue, workers or cores(), scheduler):
         failure = queue.settle(outcome)
         if failure is not None:
             failed.append(failure)
@@ -351,10 +350,12 @@ class _Queue:
         return FailedChunk(index, chunk_draws(self.plan, index), outcome.error)
 
 
-def _outcome(index: int, work: Callable[[], bytes]) -> _Outcome:
+def _outcome(
+    index: int, work: Callable[[], bytes], death: type[Exception] = BrokenProcessPool
+) -> _Outcome:
     try:
         return _Outcome(index, data=work())
-    except BrokenProcessPool:
+    except death:
         return _Outcome(index, error="its worker process ended", died=True)
     except PtnsbcError as error:
         return _Outcome(index, error=str(error))
@@ -362,44 +363,57 @@ def _outcome(index: int, work: Callable[[], bytes]) -> _Outcome:
         return _Outcome(index, error=f"{type(error).__name__}: {error}")
 
 
-def _with_processes(queue: _Queue, _: str, workers: int) -> Iterator[_Outcome]:
-    """Attempts by processes of this machine; by this process when there is one worker."""
-    if not len(queue):
-        return
-    if workers == 1:
+def _attempts(queue: _Queue, workers: int, scheduler: str | None) -> Iterator[_Outcome]:
+    """Attempts at all chunks: by a dask cluster, by this process when it is the one worker, or by processes."""
+    if scheduler is not None:
+        try:
+            from distributed import Client
+            from distributed.scheduler import KilledWorker
+        except ImportError:
+            raise SweepError(
+                'scheduler: dask is not installed: pip install "ptnsbc[sweep]"'
+            ) from None
+        with Client(scheduler) as client:
+            while len(queue):
+                executor, most = client.get_executor(pure=False), len(queue)
+                yield from _executed(queue, executor, most, KilledWorker)
+    elif workers == 1:
         while len(queue):
             index = queue.take()
             yield _outcome(index, lambda index=index: fly_chunk(queue.text, index))  # type: ignore[misc]
-        return
-    # What a chunk needs is loaded before the workers are forked: they have it at once.
-    import pyarrow.parquet  # noqa: F401
+    elif len(queue):
+        # What a chunk needs is loaded before the workers are forked: they have it at once.
+        import pyarrow.parquet  # noqa: F401
 
-    schema(queue.plan)
-    fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
-    while len(queue):  # again when a worker has ended, which ends its pool
-        yield from _pool(queue, workers)
+        schema(queue.plan)
+        fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
+        context = multiprocessing.get_context("fork")
+        while len(queue):
+            pool = ProcessPoolExecutor(workers, mp_context=context, initializer=depend_on_parent)
+            try:
+                yield from _executed(queue, pool, 2 * workers)
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _pool(queue: _Queue, workers: int) -> Iterator[_Outcome]:
-    context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=depend_on_parent) as pool:
-        running: dict[Future[bytes], int] = {}
-        try:
-            while len(queue) or running:
-                while len(queue) and len(running) < 2 * workers:
-                    index = queue.take()
-                    with warnings.catch_warnings():  # of threads: those of BLAS, idle
-                        warnings.simplefilter("ignore", DeprecationWarning)
-                        running[pool.submit(fly_chunk, queue.text, index)] = index
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    outcome = _outcome(running.pop(future), future.result)
-                    yield outcome
-                    if outcome.died:
-                        for other, index in running.items():
-                            yield _outcome(index, other.result)
-                        return
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+def _executed(
+    queue: _Queue, executor: Executor, most: int, death: type[Exception] = BrokenProcessPool
+) -> Iterator[_Outcome]:
+    """Attempts by the workers of an executor, `most` of them at a time; until one ends, which may end its pool."""
+    running: dict[Future[bytes], int] = {}
+    while len(queue) or running:
+        while len(queue) and len(running) < most:
+            index = queue.take()
+            with warnings.catch_warnings():  # of threads: those of BLAS, idle
+                warnings.simplefilter("ignore", DeprecationWarning)
+                running[executor.submit(fly_chunk, queue.text, index)] = index
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            outcome = _outcome(running.pop(future), future.result, death)
+            yield outcome
+            if outcome.died:
+                for other, index in running.items():
+                    yield _outcome(index, other.result, death)
+                return
 
 
 def depend_on_parent() -> None:
@@ -413,34 +427,3 @@ def depend_on_parent() -> None:
             os._exit(1)
 
         threading.Thread(target=end_with_parent, daemon=True).start()
-
-
-def _with_dask(queue: _Queue, address: str, _: int) -> Iterator[_Outcome]:
-    """Attempts by the workers of a dask cluster; a worker that ends loses the chunk that it flies."""
-    try:
-        from distributed import Client, as_completed
-    except ImportError:
-        raise SweepError('scheduler: dask is not installed: pip install "ptnsbc[sweep]"') from None
-    from distributed.scheduler import KilledWorker
-
-    with Client(address) as client:
-        ready = as_completed()
-        numbers: dict[Any, int] = {}
-
-        def submit() -> None:
-            while len(queue):
-                index = queue.take()
-                future = client.submit(fly_chunk, queue.text, index, pure=False)
-                numbers[future.key] = index
-                ready.add(future)
-
-        submit()
-        for future in ready:
-            index = numbers.pop(future.key)
-            try:
-                outcome = _outcome(index, future.result)
-            except KilledWorker:
-                outcome = _Outcome(index, error="its worker ended", died=True)
-            yield outcome
-            future.release()
-            submit()

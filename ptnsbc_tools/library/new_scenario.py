@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -33,7 +34,8 @@ def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> 
     lowest = float(places[:, 2].min())
     height_m = _HEIGHT_M + max(-lowest - _HEIGHT_M + 2.0 * _START_M, 0.0)  # no place in the ground
     starts = np.round(places + np.array([0.0, _RADIUS_M, _START_M - lowest]), 2) + 0.0
-    return _TEXT.format(
+    template = Template(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    return template.substitute(
         schema=FILE,
         name=name,
         shape=shape,
@@ -86,63 +88,3 @@ def named(path: Path) -> str:
     """The name of a scenario in a file: the file's own, with what a name cannot have replaced."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in path.stem)
     return kept[:64] or "scenario"
-
-
-_TEXT = """\
-# yaml-language-server: $schema={schema}
-# {n} UAVs, shape {shape}, neighbours {spacing} m apart. docs/scenarios.md explains every key.
-# ptnsbc check FILE, then ptnsbc simulate FILE, then ptnsbc fleet FILE.
-name: {name}
-description: {n} UAVs, shape {shape}
-seed: 1                       # of all random numbers: noise, gusts, losses
-
-timing:
-  control_hz: 100             # rate of the laws
-  physics_hz: 500             # rate of the simulated vehicle
-  duration_s: 30
-
-world:
-  wind_m_s: [0, 0, 0]         # mean wind: east, north, up
-  gust_m_s: [0, 0, 0]         # standard deviation of the gusts
-  obstacles: []               # e.g. [{{name: tree, position_m: [8, 0, 6], keep_out_m: 1.5}}]
-
-sensor:                       # what a UAV sees of others and of obstacles
-  range_m: 6
-  rate_hz: 20
-
-plant:
-  kind: quadrotor
-  mass_kg: 1.2
-  inertia_kg_m2: [0.019, 0.019, 0.021]
-  quadrotor:
-    max_thrust_n: 25.9        # 2.2 times the weight
-    max_tilt_rad: 0.698       # 40 degrees
-    max_torque_nm: [1.5, 1.5, 0.3]
-    motor_lag_s: 0.02
-    drag_1_s: 0.1
-
-communication:
-  tree: auto                  # or child: parent, rooted at the leader
-  leader_links: [{links}]  # who receives the leader's state
-  estimator_edges: [{edges}]  # who exchanges estimates of the leader
-  loss: 0                     # fraction of messages that is lost
-  delay_s: 0
-
-leader:
-  id: 1
-  trajectory: {{kind: circle, centre_m: [0, 0, {height}], radius_m: {radius}, rate_rad_s: 0.1}}
-  # or: {{kind: line, position_m: [0, {radius}, {height}], velocity_m_s: [0.5, 0, 0]}}
-
-formation:
-  task: relative_position     # or {other_tasks}
-  avoidance: set_based        # or switched, off
-  uav_keep_out_m: 0.5         # least distance of two UAVs, between centres
-  tolerance_m: 0.05           # largest error at the deadline
-  shape: {{kind: {shape}, spacing_m: {spacing}}}  # or offsets_m, the place of every follower: east, north, up
-
-gains:
-  formation: {{deadline_s: 6}}  # complete by then; auto: 1.5 times the shortest possible
-
-uavs:                         # starts: here below the places, so that nobody crosses another's way
-{starts}
-"""

@@ -15,22 +15,21 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepPlan
 from ptnsbc_sim.verdict.deadline import MET
-from ptnsbc_tools.sweeps.summary import FlightTable, Share, new_table, number, share_of
+from ptnsbc_tools.sweeps.summary import (
+    DISTANCES,
+    ERRORS,
+    FlightTable,
+    Share,
+    new_table,
+    number,
+    share_of,
+)
 
 LEVEL = 0.05
 _NORMAL = 1.959963984540054  # of the standard normal distribution, 97.5 %
 _RESAMPLES = 2000
 
-ERRORS = (
-    ("error at tf", "error_at_deadline_m"),
-    ("largest after tf, without excused spans", "largest_after_m"),
-    ("largest after tf, with excused spans", "largest_after_all_m"),
-)
 _DECIDING = "largest_after_all_m"
-_DISTANCES = (
-    ("closest pair of UAVs", "closest_uav_m"),
-    ("room to the closest obstacle", "closest_obstacle_m"),
-)
 
 
 class ComparisonError(PtnsbcError):
@@ -164,7 +163,7 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
     uavs = met_difference(a["verdict"] == MET, b["verdict"] == MET)
     differences = (
         median_difference(name, label, getattr(a.flights, name), getattr(b.flights, name), seed)
-        for label, name in (*ERRORS, *_DISTANCES)
+        for label, name in (*ERRORS, *DISTANCES)
     )
     figures = tuple(difference for difference in differences if difference is not None)
     alone = len(a.flights.draw) == 1

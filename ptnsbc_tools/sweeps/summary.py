@@ -88,7 +88,16 @@ def share_of(met: NDArray[np.bool_]) -> Share:
 
 Column = NDArray[Any]
 
-_ERRORS = ("error_at_deadline_m", "largest_after_m", "largest_after_all_m", "rmse_after_m")
+ERRORS = (
+    ("error at tf", "error_at_deadline_m"),
+    ("largest after tf, without excused spans", "largest_after_m"),
+    ("largest after tf, with excused spans", "largest_after_all_m"),
+)
+DISTANCES = (
+    ("closest pair of UAVs", "closest_uav_m"),
+    ("room to the closest obstacle", "closest_obstacle_m"),
+)
+_INFINITE = (*(name for _, name in ERRORS), "rmse_after_m")
 """Columns in which NaN is an error that is not finite; None is no figure."""
 
 
@@ -237,23 +246,19 @@ def _column(name: str, column: Any) -> Column:
     if not pa.types.is_floating(column.type):
         return np.array(column.to_pylist())
     values: Array = np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
-    if name in _ERRORS:
+    if name in _INFINITE:
         values[np.isnan(values) & ~np.asarray(column.is_null())] = np.inf
     return values
 
 
 def table_of(rows: list[SweepRow]) -> FlightTable:
     """The rows of flights that were not flown by a sweep."""
+    import pyarrow as pa
+
     columns: dict[str, Column] = {}
     for field, *values in zip(fields(SweepRow), *(astuple(row) for row in rows), strict=True):
-        if "float" not in str(field.type):
-            columns[field.name] = np.array(values)
-            continue
-        found = np.array([np.nan if value is None else value for value in values])
-        none = np.array([value is None for value in values])
-        if field.name in _ERRORS:
-            found[np.isnan(found) & ~none] = np.inf
-        columns[field.name] = found
+        kind = pa.float64() if "float" in str(field.type) else None
+        columns[field.name] = _column(field.name, pa.array(values, kind))
     return FlightTable(columns)
 
 
@@ -264,9 +269,7 @@ _NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 _UPWARD = (
     ("settled", "settling_s"),
-    ("error at tf", "error_at_deadline_m"),
-    ("largest after tf, without excused spans", "largest_after_m"),
-    ("largest after tf, with excused spans", "largest_after_all_m"),
+    *ERRORS,
     ("RMSE after tf, without excused spans", "rmse_after_m"),
     ("outside the band after tf, excused", "excused_outside_s"),
     ("back in place after an encounter", "regained_s"),
@@ -274,10 +277,6 @@ _UPWARD = (
     ("saturated until tf", "saturated_s"),
     ("peak force", "peak_force_n"),
     ("energy (54)", "energy_n2_s"),
-)
-_DOWNWARD = (
-    ("closest pair of UAVs", "closest_uav_m"),
-    ("room to the closest obstacle", "closest_obstacle_m"),
 )
 
 
@@ -362,7 +361,7 @@ def _quantiles(sweep: FlownSweep) -> Iterator[tuple[bool, Quantiles]]:
     """
     for of_flight, figures, shares in (
         (False, _UPWARD, (0.5, 0.95, 1.0)),
-        (True, _DOWNWARD, (0.0, 0.01, 0.5)),
+        (True, DISTANCES, (0.0, 0.01, 0.5)),
     ):
         for label, name in figures:
             values = getattr(sweep.table.flights, name) if of_flight else sweep.table[name]

@@ -234,32 +234,6 @@ def figures(sweep: FlownSweep) -> Iterator[SweepFigure]:
 
 FOLDER = "report"
 
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="generator" content="ptnsbc $command">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>$name – $command</title>
-<style>
-$style
-figure { margin: 0 0 16px; } figure img { max-width: 100%; background: white; border-radius: 12px; }
-figcaption { color: var(--soft); font-size: 13px; }
-</style>
-</head>
-<body>
-<header class="top"><div><p class="kicker">$kicker</p><h1>$name</h1></div></header>
-<main>
-<p>$heading</p>
-<p><b>$line</b></p>
-$tables
-$more
-</main>
-</body>
-</html>
-""")
-
 
 def _picture(caption: str, path: Path) -> str:
     data = base64.b64encode(path.read_bytes()).decode()
@@ -271,7 +245,7 @@ def _picture(caption: str, path: Path) -> str:
 
 
 def _write(path: Path, more: str, tables: Iterable[Table], **words: str) -> Path:
-    text = _PAGE.substitute(
+    text = Template(asset("sweep.html")).substitute(
         {key: escape(value) for key, value in words.items()},
         kicker=words["command"].capitalize(),
         style=asset("style.css"),
