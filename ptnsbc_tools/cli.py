@@ -61,18 +61,6 @@ def _load(name: str) -> Any:
     return getattr(import_module(f"ptnsbc_tools.commands.{module}"), attribute)
 
 
-def _made(name: str) -> Any:
-    """A command for Typer."""
-    loaded = _load(name)
-    if not isinstance(loaded, typer.Typer):
-        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(help=_help(loaded), context_settings=_SETTINGS.get(name))(flat(loaded))
-        loaded = alone
-    made = get_command(loaded)
-    made.name = name
-    return made
-
-
 def _help(loaded: Any) -> str:
     """The help of a group, or the docstring of a function, each paragraph in one line: the terminal wraps it."""
     text = loaded.info.help if isinstance(loaded, typer.Typer) else loaded.__doc__
@@ -109,7 +97,13 @@ class _Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in self.commands and cmd_name in _PLACES:
-            self.commands[cmd_name] = _made(cmd_name)
+            loaded = _load(cmd_name)
+            if not isinstance(loaded, typer.Typer):
+                settings, function = _SETTINGS.get(cmd_name), loaded
+                loaded = typer.Typer(add_completion=False, rich_markup_mode=None)
+                loaded.command(help=_help(function), context_settings=settings)(flat(function))
+            self.commands[cmd_name] = command = get_command(loaded)
+            command.name = cmd_name
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -180,7 +180,15 @@ def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
         yield lambda done, total: None
         return
     if not sys.stderr.isatty():
-        yield _ProgressLines(label)
+        shown_s = time.monotonic()
+
+        def advance(done: int, total: int, /) -> None:  # a line every few seconds
+            nonlocal shown_s
+            if time.monotonic() - shown_s > _PATIENCE_S:
+                shown_s = time.monotonic()
+                say(f"{label}: {100 * done // max(total, 1)} %")
+
+        yield advance
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -188,17 +196,3 @@ def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
     with Progress(*columns, console=err(), transient=True) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-class _ProgressLines:
-    """Progress as plain lines, at most one every few seconds."""
-
-    def __init__(self, label: str) -> None:
-        self._label = label
-        self._shown = time.monotonic()
-
-    def __call__(self, done: int, total: int, /) -> None:
-        now = time.monotonic()
-        if now - self._shown > _PATIENCE_S:
-            self._shown = now
-            say(f"{self._label}: {100 * done // max(total, 1)} %")

@@ -275,7 +275,14 @@ def run(
         SweepError: the folder holds another plan, or flights of other laws.
         KeyboardInterrupt: ended early; chunks that are done stay, and the next run continues.
     """
-    _prepare(plan, folder)
+    path, other = folder / PLAN, held(folder, plan)
+    if not path.exists() and folder.exists() and any(folder.iterdir()):
+        other = "other files"
+    if other:
+        raise SweepError(f"{folder}: holds {other}: expected an empty folder, or the same sweep")
+    (folder / CHUNKS).mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part:
+        part.write_bytes(plan.to_json().encode())
     chunks = [folder / CHUNKS / f"{index:05d}.parquet" for index in range(chunk_count(plan))]
     missing = [index for index, chunk in enumerate(chunks) if not chunk.exists()]
     done = plan.draws - sum(len(chunk_draws(plan, index)) for index in missing)
@@ -309,17 +316,6 @@ def held(folder: Path, plan: SweepPlan) -> str:
     if any(made_by_others(chunk, today) for chunk in chunks):
         return "flights of other laws or library versions"
     return ""
-
-
-def _prepare(plan: SweepPlan, folder: Path) -> None:
-    path, other = folder / PLAN, held(folder, plan)
-    if not path.exists() and folder.exists() and any(folder.iterdir()):
-        other = "other files"
-    if other:
-        raise SweepError(f"{folder}: holds {other}: expected an empty folder, or the same sweep")
-    (folder / CHUNKS).mkdir(parents=True, exist_ok=True)
-    with replacing(path) as part:
-        part.write_bytes(plan.to_json().encode())
 
 
 class _Queue:

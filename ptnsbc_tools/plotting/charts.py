@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise, product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -311,21 +311,10 @@ def _samples(flight: FlightView, track: Track | None) -> Points | None:
     return found.points()
 
 
-def _chart(
-    key: str,
-    title: str,
-    unit: str,
-    curves: Sequence[Curve],
-    *,
-    log: bool = False,
-    limits: tuple[Limit, ...] = (),
-    marks: tuple[Mark, ...] = (),
-    note: str = "",
-) -> Chart | None:
-    """A chart; None when it would be empty."""
-    if not any(curve.t.size > 1 for curve in curves):
-        return None
-    return Chart(key, title, unit, tuple(curves), log, limits, marks, note=note)
+def _chart(key: str, title: str, unit: str, curves: Sequence[Curve], **more: Any) -> Chart | None:
+    """A chart, `more` of its fields by name; None when it would be empty."""
+    shown = any(curve.t.size > 1 for curve in curves)
+    return Chart(key, title, unit, tuple(curves), **more) if shown else None
 
 
 # Formation errors and separations
@@ -509,13 +498,15 @@ def estimator(flight: FlightView) -> Chart | None:
     return _chart("estimator", "Error of the estimated leader", "m", curves, marks=marks, log=True)
 
 
+def _curves_of(flight: FlightView, tracks: Mapping[int, Track | None]) -> list[Curve]:
+    """The curves of the UAVs that have samples in the time shown."""
+    points = {uav: _samples(flight, tracks.get(uav)) for uav in flight.uavs}
+    return [_curve_of(flight, uav, *of) for uav, of in points.items() if of is not None]
+
+
 def _planner_values(flight: FlightView, key: str) -> list[Curve]:
-    curves = []
-    for uav in flight.uavs:
-        points = _samples(flight, flight.status.planner.get(uav, {}).get(key))
-        if points is not None:
-            curves.append(_curve_of(flight, uav, *points))
-    return curves
+    planner = flight.status.planner
+    return _curves_of(flight, {uav: tracks.get(key) for uav, tracks in planner.items()})
 
 
 def gain(flight: FlightView) -> Chart | None:
@@ -558,11 +549,10 @@ def latency(flight: FlightView) -> Chart | None:
 
 def age(flight: FlightView) -> Chart | None:
     """Age of the oldest message of a neighbour that went into each step."""
-    curves = []
-    for uav in flight.uavs:
-        points = _samples(flight, flight.status.age_ms.get(uav))
-        if points is not None:
-            curves.append(_curve_of(flight, uav, points.t, np.maximum(points.values, _FLOOR_MS)))
+    curves = [
+        replace(curve, values=np.maximum(curve.values, _FLOOR_MS))
+        for curve in _curves_of(flight, flight.status.age_ms)
+    ]
     stale = 1e3 * flight.scenario.communication.stale_s
     limits = (Limit(stale, f"stale, {stale:g} ms"),)
     note = "The oldest that went into each step, by the clocks of sender and receiver."

@@ -236,11 +236,6 @@ def _plain(text: Any) -> str:
     return escape(text.plain if isinstance(text, Text) else str(text))
 
 
-def _cell(value: Any) -> str:
-    plain = _plain(value)
-    return f'<span class="word {plain}">{plain}</span>' if plain in _WORDS else plain
-
-
 def html_table(table: Table, title: str = "") -> str:
     """A Rich table as an HTML table in a box that scrolls by itself; `title` replaces its own."""
     sides = ["number" if column.justify == "right" else "text" for column in table.columns]
@@ -251,10 +246,10 @@ def html_table(table: Table, title: str = "") -> str:
     rows = []
     for row, *cells in zip(table.rows, *(column.cells for column in table.columns), strict=True):
         look = ' class="bad"' if row.style else ""
-        inside = "".join(
-            f'<td class="{side}">{_cell(cell)}</td>'
-            for side, cell in zip(sides, cells, strict=True)
-        )
+        inside = ""
+        for side, cell in zip(sides, map(_plain, cells), strict=True):
+            shown = f'<span class="word {cell}">{cell}</span>' if cell in _WORDS else cell
+            inside += f'<td class="{side}">{shown}</td>'
         rows.append(f"<tr{look}>{inside}</tr>")
     title = _plain(title or table.title or "")
     return (

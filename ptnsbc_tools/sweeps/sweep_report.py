@@ -284,7 +284,7 @@ def write_comparison(
     """Write the page of B beside A; `names` and `tables` are theirs."""
     pictures = []
     with TemporaryDirectory() as folder:
-        for number, (label, column) in enumerate(comparison.ERRORS):
+        for number, (label, column) in enumerate(summary.ERRORS):
             file = save(paired(label, column, *tables), Path(folder) / f"{number}.png")
             pictures.append(_picture(f"{label}, each draw in A and in B", file))
     words = {
