@@ -94,10 +94,7 @@ class StatusPublisher:
 
 def readiness(waiting_for: Sequence[str]) -> dict[str, str]:
     """The first values in the status of every node."""
-    return {
-        "ready": "false" if waiting_for else "true",
-        "waiting_for": ", ".join(waiting_for),
-    }
+    return {"ready": "false" if waiting_for else "true", "waiting_for": ", ".join(waiting_for)}
 
 
 class SafetyState(IntEnum):

@@ -27,13 +27,7 @@ from ptnsbc_nodes.comm.legs import FIRST_LEG
 from ptnsbc_nodes.uav.clocks import LEAD_NS, UavClock
 from ptnsbc_nodes.uav.uav_controller import UavController, UavFlight
 from ptnsbc_sim.scenario.approach.deadline import leg_room
-from ptnsbc_sim.scenario.mission.legs import (
-    CANCEL,
-    ScheduledLeg,
-    leg_names,
-    utc_time,
-    word_text,
-)
+from ptnsbc_sim.scenario.mission.legs import CANCEL, ScheduledLeg, leg_names, utc_time, word_text
 
 _MOST_WAIT_S = 3600.0  # for the start of a mission
 

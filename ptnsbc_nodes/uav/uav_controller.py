@@ -136,11 +136,7 @@ class UavController:
     """Inbox, control law and counters of one UAV."""
 
     def __init__(
-        self,
-        scenario: Scenario,
-        uav_id: int,
-        edges: CommunicationGraph,
-        plugins: UavPlugins = OURS,
+        self, scenario: Scenario, uav_id: int, edges: CommunicationGraph, plugins: UavPlugins = OURS
     ) -> None:
         """`plugins`: in the place of ours."""
         self._scenario, self._uav, self._edges, self._plugins = scenario, uav_id, edges, plugins

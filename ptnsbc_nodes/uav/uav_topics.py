@@ -13,12 +13,7 @@ from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_n
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
 from ptnsbc_nodes.comm.announcements import Decision, decode_lost, encode_slots, fault_decoder
-from ptnsbc_nodes.comm.door import (
-    RealTimeStamps,
-    RefusedMessage,
-    in_lockstep,
-    in_order,
-)
+from ptnsbc_nodes.comm.door import RealTimeStamps, RefusedMessage, in_lockstep, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs

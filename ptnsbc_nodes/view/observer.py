@@ -11,12 +11,7 @@ from typing import Any
 from rcl_interfaces.srv import GetParameters
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.wire import (
-    Diagnostics,
-    OdometryDecoder,
-    decode_diagnostics,
-    decode_header,
-)
+from ptnsbc_io.wire import Diagnostics, OdometryDecoder, decode_diagnostics, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel

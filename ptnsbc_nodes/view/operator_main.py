@@ -24,9 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments(
-        "operator",
-        "Offers a running fleet as ptnsbc_interfaces: state, legs, stop",
-        scenario=False,
+        "operator", "Offers a running fleet as ptnsbc_interfaces: state, legs, stop", scenario=False
     )
     return run(parser, argv, _serve)
 
