@@ -39,7 +39,7 @@ def commands(compose, profile: str, **given: str) -> dict[str, list[str]]:
     [("sim", "sim", {}), ("bridge", "mavlink", {"VEHICLES": VEHICLES})],
 )
 def test_every_process_of_the_fleet_has_one_container(compose, profile, backend, given):
-    crew = pytest.importorskip("ptnsbc_nodes.fleet.process_list")
+    crew = pytest.importorskip("ptnsbc_nodes.fleet.child_process")
     scenario = load_scenario("paper_5")
     run = commands(compose, profile, **given)
     assert sorted(run) == sorted(crew.names(scenario, backend))

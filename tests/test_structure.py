@@ -80,6 +80,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
     "tests/nodes/comm/test_serialize.py": "ptnsbc_io/wire/cdr.py, with the message classes of ROS",
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
+    "tests/nodes/fleet/test_process_list.py": "child_process.py with the options that fleet.py refuses",
     "tests/nodes/uav/test_uav_status.py": "uav_node.py: what a UAV says of itself",
     "tests/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
     "tests/sim/sweep/test_dask.py": "a sweep on a dask cluster",

@@ -9,7 +9,6 @@ import struct
 from collections.abc import Sequence
 from math import pi
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from geometry_msgs.msg import Point, Quaternion
@@ -188,16 +187,14 @@ def _line(
 
 
 _SPAN_M = 0.4  # between opposite rotors, as the markers draw it
-_BODY_M = (0.14, 0.10, 0.05)
-_ARM_M = (_SPAN_M, 0.02, 0.015)
-_ROTOR = {"radius": "0.09", "length": "0.008"}
-_DIAGONALS = (pi / 4, 3 * pi / 4)
-_BODY, _ARMS, _FRONT, _REAR = "body", "arms", "front rotors", "rear rotors"
+_ROTOR_UP_M = 0.025  # on the upper side of the body
+_BODY, _ARM = '<box size="0.14 0.1 0.05"/>', f'<box size="{_SPAN_M} 0.02 0.015"/>'
+_ROTOR = '<cylinder radius="0.09" length="0.008"/>'
 _COLOURS = {
-    _BODY: "0.2 0.2 0.22 1",
-    _ARMS: "0.45 0.45 0.48 1",
-    _FRONT: "0.95 0.55 0.1 0.8",
-    _REAR: "0.15 0.45 0.85 0.8",
+    "body": "0.2 0.2 0.22 1",
+    "arms": "0.45 0.45 0.48 1",
+    "front rotors": "0.95 0.55 0.1 0.8",
+    "rear rotors": "0.15 0.45 0.85 0.8",
 }
 
 
@@ -213,36 +210,27 @@ def robot_description(scenario: Scenario, uav_id: int) -> str:
     The link is `base_link`; viewers take the UAV's frames with its prefix, `uav3`. Lengths are in metres, axes are
     forward, left, up.
     """
-    add = ElementTree.SubElement
-    robot = ElementTree.Element("robot", name=f"uav{uav_id}")
-    for name, rgba in _COLOURS.items():
-        add(add(robot, "material", name=name), "color", rgba=rgba)
-    link = add(robot, "link", name="base_link")
     uav, vehicle = scenario.uav(uav_id), scenario.vehicle(uav_id)
-    inertial = add(link, "inertial")
-    add(inertial, "mass", value=f"{vehicle.mass_kg * uav.mass_scale:g}")
     moments = zip(vehicle.inertia_kg_m2, uav.inertia_scale, strict=True)
     xx, yy, zz = (f"{moment * scale:g}" for moment, scale in moments)
-    add(inertial, "inertia", {"ixx": xx, "iyy": yy, "izz": zz, "ixy": "0", "ixz": "0", "iyz": "0"})
-
-    def visual(
-        material: str, shape: str, sizes: dict[str, str], place: str = "0 0 0", yaw: float = 0.0
-    ) -> None:
-        part = add(link, "visual")
-        add(part, "origin", xyz=place, rpy=f"0 0 {yaw:g}")
-        add(add(part, "geometry"), shape, sizes)
-        add(part, "material", name=material)
-
-    visual(_BODY, "box", {"size": _numbers(_BODY_M)})
-    for turn in _DIAGONALS:
-        visual(_ARMS, "box", {"size": _numbers(_ARM_M)}, yaw=turn)
     along = _SPAN_M / 2 / 2**0.5
+    parts = [("body", _BODY, "0 0 0", 0.0)]
+    parts += [("arms", _ARM, "0 0 0", turn) for turn in (pi / 4, 3 * pi / 4)]
     for x in (along, -along):
-        for y in (along, -along):
-            place = _numbers((x, y, _BODY_M[2] / 2))
-            visual(_FRONT if x > 0 else _REAR, "cylinder", _ROTOR, place)
-    return ElementTree.tostring(robot, encoding="unicode")
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    return " ".join(f"{value:g}" for value in values)
+        name = "front rotors" if x > 0 else "rear rotors"
+        parts += [(name, _ROTOR, f"{x:g} {y:g} {_ROTOR_UP_M:g}", 0.0) for y in (along, -along)]
+    materials = "".join(
+        f'<material name="{name}"><color rgba="{rgba}"/></material>'
+        for name, rgba in _COLOURS.items()
+    )
+    visuals = "".join(
+        f'<visual><origin xyz="{place}" rpy="0 0 {yaw:g}"/><geometry>{shape}</geometry>'
+        f'<material name="{name}"/></visual>'
+        for name, shape, place, yaw in parts
+    )
+    return (
+        f'<robot name="uav{uav_id}">{materials}<link name="base_link"><inertial>'
+        f'<mass value="{vehicle.mass_kg * uav.mass_scale:g}"/>'
+        f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f"{visuals}</link></robot>"
+    )

@@ -34,9 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.comm.topics import RECORDER
-    from ptnsbc_nodes.fleet.child_process import Crew
+    from ptnsbc_nodes.fleet.child_process import Crew, FleetOptions
     from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-    from ptnsbc_nodes.fleet.process_list import FleetOptions
     from ptnsbc_nodes.fleet.supervisor import call_down
     from ptnsbc_nodes.fleet.takeoff import Launch, TakeOff
     from ptnsbc_nodes.runtime import environment

@@ -17,9 +17,8 @@ from pathlib import Path
 
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
-from ptnsbc_nodes.fleet.child_process import ChildProcess
+from ptnsbc_nodes.fleet.child_process import ChildProcess, FleetOptions
 from ptnsbc_nodes.fleet.fleet_node import FleetNode
-from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_sim.scenario.mission.fault_rules import PROCESS, RECORDER, FaultBlock
 
 _KILLED_S = 5.0

@@ -20,10 +20,19 @@ from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency import forget_dead, list_fleet, release, runtime_folder
-from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
+from ptnsbc_nodes.fleet.child_process import (
+    BRIDGE,
+    ChildProcess,
+    Crew,
+    FleetOptions,
+    ProcessCommand,
+    chosen,
+    commands,
+    groups,
+    names,
+)
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector, hear_faults
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.fleet.process_list import BRIDGE, FleetOptions, chosen, commands, groups, names
 from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.fleet.takeoff import FleetError, Launch, Report, TakeOff
 from ptnsbc_nodes.runtime import environment

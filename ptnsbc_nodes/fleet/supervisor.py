@@ -21,11 +21,10 @@ from pathlib import Path
 
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency import in_pilots_hands, last_word
-from ptnsbc_nodes.fleet.child_process import ChildProcess, end
+from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.fleet.process_list import BRIDGE
 from ptnsbc_nodes.fleet.takeoff import Launch, Report
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 

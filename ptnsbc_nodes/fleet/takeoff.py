@@ -22,9 +22,8 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
 from ptnsbc_nodes.comm.qos import STATE_REALTIME
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand, end
 from ptnsbc_nodes.fleet.fleet_node import FleetNode, LauncherNode
-from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.sweep.dry_run import START_M, with_starts_at
 

@@ -73,7 +73,13 @@ def discovery_client(servers: Sequence[Server], *, everything: bool = False) -> 
         title=f"Through the discovery server {', '.join(f'{s.address}:{s.port}' for s in servers)}",
         kind="SUPER_CLIENT" if everything else "CLIENT",
         writers=_shipped(_WRITERS),
-        servers="".join(_remote(number, server) for number, server in enumerate(servers)),
+        servers="".join(
+            f'<RemoteServer prefix="{_SERVER_PREFIX.format(number)}">'
+            "<metatrafficUnicastLocatorList><locator><udpv4>"
+            f"<address>{server.address}</address><port>{server.port}</port>"
+            "</udpv4></locator></metatrafficUnicastLocatorList></RemoteServer>"
+            for number, server in enumerate(servers)
+        ),
     )
 
 
@@ -125,14 +131,6 @@ def _peers(hosts: Sequence[str], processes: int, title: str, writers: str = "") 
         peers="".join(
             f"<locator><udpv4><address>{host}</address></udpv4></locator>" for host in hosts
         ),
-    )
-
-
-def _remote(number: int, server: Server) -> str:
-    return (
-        f'<RemoteServer prefix="{_SERVER_PREFIX.format(number)}"><metatrafficUnicastLocatorList>'
-        f"<locator><udpv4><address>{server.address}</address><port>{server.port}</port></udpv4>"
-        "</locator></metatrafficUnicastLocatorList></RemoteServer>"
     )
 
 

@@ -10,7 +10,7 @@ import os
 import random
 import socket
 import sys
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -30,7 +30,7 @@ _DEFAULTS = {
 }
 # Our arrays are small. A library of linear algebra starts threads for large ones, and they spin while they wait.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
@@ -70,7 +70,7 @@ def prepare() -> None:
                 f"RMW_IMPLEMENTATION={rmw}: {NETWORK} is a profile of Fast DDS: "
                 f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
             )
-        os.environ.update({NETWORK: profile, _PROFILES[0]: profile})
+        os.environ.update({NETWORK: profile, PROFILES[0]: profile})
         # With any other value rmw_fastrtps would override the profile.
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     for name, value in _DEFAULTS.items():
@@ -129,24 +129,19 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     # `-m ptnsbc_nodes...` must find the same code, installed or not.
     root = str(Path(__file__).resolve().parents[2])
     child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
-    if _discovery_is_ours(child):
+    if (
+        child["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+        and child.get("RMW_IMPLEMENTATION", _RMW) == _RMW
+        and not child.keys() & {"ROS_DISCOVERY_SERVER", *PROFILES}
+    ):  # the user has chosen no other discovery
         profile = folder / "discovery.xml"
         # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. This profile
         # does the same with as many peers as there are, and with UDP alone.
         profile.write_text(dds_profiles.localhost(processes + _SPARE_PEERS), encoding="utf-8")
-        child[_PROFILES[0]] = str(profile)
+        child[PROFILES[0]] = str(profile)
         # With any other value rmw_fastrtps would override the profile.
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     return child
-
-
-def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
-    return (
-        environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-        and environment.get("RMW_IMPLEMENTATION", _RMW) == _RMW
-        and "ROS_DISCOVERY_SERVER" not in environment
-        and not any(name in environment for name in _PROFILES)
-    )
 
 
 def named_domain() -> int:

@@ -97,7 +97,15 @@ class NodeParameters:
             self._declare(one.with_value(given.get(one.key, one.value)), read_only=True)
         self._changed = {key: value for key, value in given.items() if is_of_scenario(key)}
         self.scenario = self._read({})
-        self.uav = self._find_uav() if UAV in read_only else 0
+        self.uav = 0
+        if UAV in read_only:
+            last = node.get_namespace().rpartition("/")[2].removeprefix("uav")
+            self.uav = int(self["uav"]) or (int(last) if last.isdecimal() else 0)
+            if self.uav == 0:
+                raise ScenarioParameterError(
+                    "parameter uav: not given: expected --uav N, or a namespace /uavN"
+                )
+            self.scenario.uav(self.uav)  # refuses an id that is not in the file
         known = {SIM_TIME, *_OF_RCLPY, *OF_SOME_NODES, *(one.key for one in read_only)}
         for leaf in leaves(self.scenario):
             known.add(leaf.key)
@@ -148,16 +156,6 @@ class NodeParameters:
         if self._node.has_parameter(key):
             self._node.undeclare_parameter(key)
         self._node.declare_parameter(key, value, about, ignore_override=True)
-
-    def _find_uav(self) -> int:
-        last = self._node.get_namespace().rpartition("/")[2].removeprefix("uav")
-        uav = int(self["uav"]) or (int(last) if last.isdecimal() else 0)
-        if uav == 0:
-            raise ScenarioParameterError(
-                "parameter uav: not given: expected --uav N, or a namespace /uavN"
-            )
-        self.scenario.uav(uav)  # refuses an id that is not in the file
-        return uav
 
     def _read(self, changes: Mapping[str, Any]) -> Scenario:
         """The scenario with the given values and `changes` in place of its own."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,10 @@ class DdsSecurityError(PtnsbcError):
 
 def lacks_security() -> bool:
     """True if the installed rmw_fastrtps was built without DDS Security; False also for another middleware."""
-    found = next((path for path in _libraries() if path.is_file()), None)
+    folders = [*map(Path, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep))]
+    for prefix in (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix):
+        folders.append(Path(prefix) / "lib")
+    found = next((path for folder in folders if (path := folder / _LIBRARY).is_file()), None)
     return found is not None and _WITHOUT in found.read_bytes()
 
 
@@ -57,10 +60,3 @@ def check_enforced(scenario: Scenario) -> None:
     for name, value in _ENFORCED.items():
         if os.environ.get(name) != value:
             raise DdsSecurityError(f"security: required: {name}: expected {value}")
-
-
-def _libraries() -> Iterator[Path]:
-    for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep):
-        yield Path(folder) / _LIBRARY
-    for prefix in (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix):
-        yield Path(prefix) / "lib" / _LIBRARY

@@ -459,11 +459,8 @@ class UavFlight:
         """The fault of the slots of a leg, empty without one."""
         if self.decided is None or leg is None or leg.mode != MODE_FORMATION:
             return ""
-        if self.decided.of(leg.t0_ns) is not None:
-            return ""
-        return (
-            f"holding: no slots of the epoch at {seconds(leg.t0_ns):.3f} s on {topics.SLOTS.name}"
-        )
+        what = f"no slots of the epoch at {seconds(leg.t0_ns):.3f} s on {topics.SLOTS.name}"
+        return "" if self.decided.of(leg.t0_ns) else f"holding: {what}"
 
     def step(self, tick: Tick, start_ns: int) -> FlownStep:
         """Make the step of a tick; before the first leg its time counts from `start_ns`."""

@@ -166,11 +166,8 @@ class Outbox:
         self._send_state(messages.state(step.own, outputs))
         self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
         self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
-        if self._logs:
-            self._log(step)
-
-    def _log(self, step: FlownStep) -> None:
-        """Publish the messages that a step used, and at times the state after it."""
+        if not self._logs:
+            return
         controller = self._controller
         sequence = controller.steps - 1
         if controller.inbox.senders is not self._senders:  # it has taken another slot

@@ -132,16 +132,10 @@ def serve(
             f"{_SERVER} is not installed: install the extra [ros] or source ROS 2"
         )
     # Without our profile, with which the server would be a client of itself.
-    settings = {key: value for key, value in os.environ.items() if key not in _CLIENT_SETTINGS}
+    ours = ("ROS_DISCOVERY_SERVER", *environment.PROFILES)
+    settings = {key: value for key, value in os.environ.items() if key not in ours}
     words = [program, "-i", str(number), "-l", at.address, "-p", str(at.port)]
     os.execve(program, words, settings)
-
-
-_CLIENT_SETTINGS = (
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "ROS_DISCOVERY_SERVER",
-)
 
 
 def _hosts(file: Path) -> list[str]:

@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from ptnsbc_nodes.fleet.child_process import FleetOptions, ProcessListError, chosen, commands, names
 from ptnsbc_nodes.fleet.fleet import FleetError, check_options, run_fleet
-from ptnsbc_nodes.fleet.process_list import FleetOptions, ProcessListError, chosen, commands, names
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 
 

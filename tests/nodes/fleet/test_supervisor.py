@@ -12,10 +12,9 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_nodes.emergency import VehicleRecord, runtime_folder, write_record
 from ptnsbc_nodes.fleet import supervisor as flights
-from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.fleet.supervisor import Supervisor, report_armed
 from ptnsbc_nodes.fleet.takeoff import Launch
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S

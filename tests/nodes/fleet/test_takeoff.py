@@ -10,8 +10,7 @@ pytest.importorskip("pymavlink")
 
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.fleet import child_process, takeoff
-from ptnsbc_nodes.fleet.child_process import Crew, ProcessCommand
-from ptnsbc_nodes.fleet.process_list import FleetOptions
+from ptnsbc_nodes.fleet.child_process import Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.takeoff import SAME_M, FleetError, FlightCheck, Launch, TakeOff
 from ptnsbc_sim.scenario import load_scenario
 
