@@ -56,11 +56,8 @@ class Scene:
     def __init__(self, scenario: Scenario) -> None:
         ids = scenario.uav_ids
         self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
-        tree = (
-            {}
-            if scenario.formation.has_open_slots
-            else {i: scenario.communication.parent(i) for i in ids}
-        )
+        drawn = () if scenario.formation.has_open_slots else ids
+        tree = {i: scenario.communication.parent(i) for i in drawn}
         edges = [end for edge in tree.items() if edge[1] is not None for end in edge]
         self._rows = [ids.index(uav) for uav in (*ids, *ids, *edges) if uav is not None]
         self._moving = [k for k, body in enumerate(scenario.world.bodies) if body.path is not None]

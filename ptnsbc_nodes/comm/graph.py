@@ -103,10 +103,8 @@ class CommunicationGraph:
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
         """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""
-        if (
-            not self._scenario.formation.has_open_slots
-            and not self._scenario.formation.reconfigures
-        ):
+        formation = self._scenario.formation
+        if not (formation.has_open_slots or formation.reconfigures):
             return ()
         return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))
 
@@ -125,11 +123,8 @@ class CommunicationGraph:
         decides = scenario.formation.has_open_slots and uav_id == scenario.leader.id
         return (
             *map(topics.odom, scenario.uav_ids if decides else (uav_id,)),
-            *(
-                topics.near(uav_id),
-                topics.EPOCH,
-                *((topics.SLOTS,) if scenario.formation.has_open_slots else ()),
-            ),
+            *(topics.near(uav_id), topics.EPOCH),
+            *((topics.SLOTS,) if scenario.formation.has_open_slots else ()),
             *map(topics.formation_state, senders.heard_states),
             *map(topics.leader_estimate, senders.heard_estimators),
         )

@@ -62,9 +62,8 @@ class _Bridge:
     """The order at one bridge, and what is known of its vehicle."""
 
     name: str
-    local: VehicleRecord | None = (
-        None  # that the bridge keeps on this host: process, way to the vehicle
-    )
+    # The record that the bridge keeps on this host: its process, the way to the vehicle.
+    local: VehicleRecord | None = None
     state: VehicleRecord | None = None  # the newest of the vehicle, from wherever
     answered_s: float | None = None  # when the bridge first answered this order
     done_s: float | None = None  # when it, or the vehicle, showed that the vehicle does as told

@@ -64,9 +64,8 @@ class FaultInjector:
         for due_s, fault in [one for one in self._due if one[0] <= now_s]:
             self._due.remove((due_s, fault))
             for child in children:
-                if fault.victim in (child.name, *child.command.reporters) and (
-                    child.exit_code is None
-                ):
+                names = child.name, *child.command.reporters
+                if fault.victim in names and child.exit_code is None:
                     self._report(f"fault: {fault.text} (pid {child.pid})")
                     self._strike(child, fault, now_s)
         for until_s, child in [one for one in self._gone if one[0] <= now_s]:

@@ -171,9 +171,8 @@ def _publishers(
 def profile(topic: BagTopic) -> QoSProfile:
     """The profile that the publishers of a recorded topic offered; reliable where the bag does not say."""
     try:
-        offered = yaml.safe_load(
-            topic.offered_qos
-        )  # words since version 9 of rosbag2, numbers before
+        # Words since version 9 of rosbag2, numbers before.
+        offered = yaml.safe_load(topic.offered_qos)
     except yaml.YAMLError:
         offered = None
     first = offered[0] if isinstance(offered, list) and offered else None

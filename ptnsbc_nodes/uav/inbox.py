@@ -147,10 +147,8 @@ class Inbox:
         self._used = [*states, *estimates]
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
         parents = 0 if senders.several is None else len(senders.several.ids)
-        self._parent_states, self._parent_ages = (
-            np.zeros((parents, ODOMETRY_SIZE)),
-            np.zeros(parents),
-        )
+        self._parent_states = np.zeros((parents, ODOMETRY_SIZE))
+        self._parent_ages = np.zeros(parents)
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
         self._await()
@@ -200,10 +198,8 @@ class Inbox:
 
     def silent_estimates(self, now_ns: int, stale_ns: int) -> list[int]:
         """Real time: the senders of estimates whose newest one is older than `stale_ns` [ns]."""
-        newest = (
-            (i, self.estimate_queues[i].before(NO_CUTOFF_NS, now_ns))
-            for i in self.senders.estimators
-        )
+        queues, used = self.estimate_queues, self.senders.estimators
+        newest = ((i, queues[i].before(NO_CUTOFF_NS, now_ns)) for i in used)
         return [i for i, one in newest if one is not None and now_ns - one.stamp_ns > stale_ns]
 
     def topic_names(self, uav_id: int) -> list[str]:

@@ -161,11 +161,8 @@ class LegServices:
         assert scenario.mission is not None  # or there is no service
 
         def row(number: int, name: str, kind: str, leg: ScheduledLeg | None) -> dict[str, Any]:
-            times = (
-                {}
-                if leg is None
-                else {"begin_s": leg.begin_s, "due_s": leg.due_s, "end_s": leg.end_s}
-            )
+            keys = () if leg is None else ("begin_s", "due_s", "end_s")
+            times = {key: getattr(leg, key) for key in keys}
             return {"number": number, "name": name, "kind": kind, **times}
 
         begun = {leg.number: leg for leg in scenario.legs}

@@ -362,16 +362,16 @@ class UavFaults:
 
     def strike(self, now_ns: int) -> None:
         """Lock-step: end this process when its time has come."""
-        if self._lockstep and any(
-            strikes(fault, "kill", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
-        ):
+        if self._holds("kill", now_ns):
             os.kill(os.getpid(), signal.SIGKILL)
 
     def plays_dead(self, now_ns: int) -> bool:
         """Lock-step: whether a restart has this process silent; none can be started at a tick, so it plays that."""
-        return self._lockstep and any(
-            strikes(fault, "restart", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
-        )
+        return self._holds("restart", now_ns)
+
+    def _holds(self, kind: str, now_ns: int) -> bool:
+        own = self._own if self._lockstep else ()
+        return any(strikes(fault, kind, self._uav, now_ns, t0_ns) for fault, t0_ns in own)
 
     def sent(self, message: Stamped) -> Stamped:
         """A state (13,) of this UAV as its neighbours get it."""

@@ -194,9 +194,8 @@ class UavNode:
             self.endpoints.shared.add(topics.EPOCH.name)
         if leads and scenario.takes_setpoints:
             follow_setpoints(self.endpoints, edges.options.recorders, flight.epochs, self._clock)
-        if not leads and not (
-            scenario.formation.reconfigures and flight.uav in scenario.leader.successors
-        ):
+        succeeds = scenario.formation.reconfigures and flight.uav in scenario.leader.successors
+        if not (leads or succeeds):
             return None
         services = LegServices(
             self.node, self.endpoints, edges, flight, self._clock, self._waiting_to_start

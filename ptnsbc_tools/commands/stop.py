@@ -91,12 +91,7 @@ def _give(
         code = max(_report(operation), 0 if done else _MISSING)
         if kill:
             return code
-    from ptnsbc_nodes.comm.seal import operators_seal
-
-    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
-        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-
-    with LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal()) as node:
+    with _middleware(domain, fleet) as node:
         if not local:
             operation.remote = node
             if ready:
@@ -113,6 +108,15 @@ def _give(
             if refusal is not None:
                 console.say(f"the recording lacks the landing: {refusal}")
     return code
+
+
+def _middleware(domain: int, fleet: str) -> LauncherNode:
+    from ptnsbc_nodes.comm.seal import operators_seal
+
+    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
+        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+
+    return LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
 
 
 def _tell_leader(node: LauncherNode, domain: int, *, kill: bool) -> int:

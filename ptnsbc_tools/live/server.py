@@ -94,10 +94,8 @@ class Feed:
         """A line for the people at the pages: what has become of an order."""
         with self._changed:
             self._number += 1
-            self._answers = [
-                *self._answers[-20:],
-                (self._number, _text({"kind": "said", "text": text})),
-            ]
+            answer = self._number, _text({"kind": "said", "text": text})
+            self._answers = [*self._answers[-20:], answer]
             self._changed.notify_all()
 
     def begin(self) -> tuple[int, int, str]:
@@ -325,12 +323,10 @@ class FoxgloveSink:
         self, place: Any, turn: Iterable[float], size: Any, colour: Iterable[float]
     ) -> dict[str, Any]:
         """Pose, size and colour of a primitive."""
-        position, quaternion = (
-            self._made("Vector3", "xyz", place),
-            self._made("Quaternion", "xyzw", turn),
-        )
+        position = self._made("Vector3", "xyz", place)
+        orientation = self._made("Quaternion", "xyzw", turn)
         return {
-            "pose": self._kinds.Pose(position=position, orientation=quaternion),
+            "pose": self._kinds.Pose(position=position, orientation=orientation),
             "size": self._made("Vector3", "xyz", size),
             "color": self._made("Color", "rgba", colour),
         }
