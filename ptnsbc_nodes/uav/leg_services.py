@@ -191,7 +191,7 @@ class LegServices:
             until_s = leg_flown.end_s if following is None else following.begin_s
             room = leg_room(flown, leg_flown, until_s)
             if room.advice:
-                return False, f"leg {room.found}: expected {room.limit}; {room.advice}"
+                return False, f"leg {room.value}: expected {room.expected}; {room.advice}"
         text = word_text(number)
         if not self._flight.epochs.announce(t0_ns, text):
             return False, "another leg was begun just now: try again"

@@ -152,20 +152,6 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     return desired_value(TASKS[task], own, above, anchor), scale
 
 
-def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
-    gains = scenario.gains.estimator
-    return EstimatorConfig(
-        duration_s=float(gains.deadline_s),
-        residual=float(gains.residual) if gains.time_base else math.inf,
-        lambda_min=float(scenario.topology.lambda_min),
-        k1=float(gains.k1_1_s),
-        k2=float(gains.k2),
-        boundary=float(gains.boundary),
-        pinned=bool(uav_id in scenario.topology.pinned),
-        feed_forward=bool(gains.feed_forward),
-    )
-
-
 def loop_lag_s(scenario: Scenario) -> float:
     """Lag [s] with which the vehicle follows the filtered command: that of the loops below the filter."""
     gains = scenario.gains
@@ -248,18 +234,6 @@ def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     )
 
 
-def _filter(scenario: Scenario, uav_id: int) -> FilterConfig:
-    gains = scenario.gains.filter
-    return FilterConfig(
-        bandwidth=float(gains.bandwidth_1_s),
-        rate_bandwidth=float(gains.rate_bandwidth_1_s),
-        max_speed=float(scenario.max_speed_m_s(uav_id)),
-        max_acceleration=float(gains.max_acceleration_m_s2),
-        max_rate=float(gains.max_rate_rad_s),
-        max_rate_acceleration=float(gains.max_rate_acceleration_rad_s2),
-    )
-
-
 def _limits(scenario: Scenario, uav_id: int) -> tuple[float, float, Vector3]:
     """Tilt [rad], thrust or force [N], torque [N m] of a vehicle."""
     vehicle = scenario.vehicle(uav_id)
@@ -300,7 +274,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
     """Everything constant that one UAV's control step needs."""
     scenario.uav(uav_id)  # names the ids there are when this is not one
     desired, row_scale = _desired(scenario, uav_id)
-    gains = scenario.gains
+    gains, estimator, limits = scenario.gains, scenario.gains.estimator, scenario.gains.filter
     return AgentConfig(
         leader=bool(uav_id == scenario.leader.id),
         task=TASK_OWN if scenario.plugins.task else TASKS[scenario.formation.task],
@@ -318,10 +292,26 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         attitude=gain_of(scenario.gains, gains.attitude),
         damping_threshold=float(gains.damping.threshold),
         damping_max=float(gains.damping.maximum),
-        estimator=_estimator(scenario, uav_id),
+        estimator=EstimatorConfig(
+            duration_s=float(estimator.deadline_s),
+            residual=float(estimator.residual) if estimator.time_base else math.inf,
+            lambda_min=float(scenario.topology.lambda_min),
+            k1=float(estimator.k1_1_s),
+            k2=float(estimator.k2),
+            boundary=float(estimator.boundary),
+            pinned=bool(uav_id in scenario.topology.pinned),
+            feed_forward=bool(estimator.feed_forward),
+        ),
         clearance=clearance_config(scenario, uav_id),
         recovery=recovery_config(scenario, uav_id),
-        filter=_filter(scenario, uav_id),
+        filter=FilterConfig(
+            bandwidth=float(limits.bandwidth_1_s),
+            rate_bandwidth=float(limits.rate_bandwidth_1_s),
+            max_speed=float(scenario.max_speed_m_s(uav_id)),
+            max_acceleration=float(limits.max_acceleration_m_s2),
+            max_rate=float(limits.max_rate_rad_s),
+            max_rate_acceleration=float(limits.max_rate_acceleration_rad_s2),
+        ),
         controller=_controller(scenario, uav_id),
         trajectory=leader_trajectory(scenario),
         shape=shape_of(scenario, uav_id),

@@ -81,7 +81,7 @@ def _number(value: Any, unit: str, below: tuple[str | int, ...]) -> Any:
     )
 
 
-_WAVE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(sin|cos)?\s*")
+_WAVE = re.compile(rf"\s*({_NUMBER})\s*(sin|cos)?\s*")
 
 
 def three(value: Any) -> Any:
@@ -93,10 +93,8 @@ def three(value: Any) -> Any:
 
 def _wave(value: Any) -> Any:
     """A disturbance: a number is constant, "0.2 cos" and "0.1 sin" have a frequency of 1 rad/s."""
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        match = None
-    else:
-        match = _WAVE.fullmatch(str(value))
+    written = isinstance(value, str | int | float) and not isinstance(value, bool)
+    match = _WAVE.fullmatch(str(value)) if written else None
     if match is None:
         raise PydanticCustomError(
             "wave", 'expected a number, "0.2 sin" or "0.2 cos"', {"value": value}

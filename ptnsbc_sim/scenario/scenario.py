@@ -16,12 +16,11 @@ from ptnsbc_sim.scenario.fields import replaced
 from ptnsbc_sim.scenario.gains import gain_defaults
 from ptnsbc_sim.scenario.mission.completion import resolved, with_first_leg
 from ptnsbc_sim.scenario.mission.legs import (
-    FROM_KEY,
     LandLeg,
     ScheduledLeg,
+    TakeOffLeg,
     Word,
     schedule,
-    takes_off_from_starts,
 )
 from ptnsbc_sim.scenario.mission.route import with_route
 from ptnsbc_sim.scenario.mission.stream import (
@@ -182,8 +181,9 @@ class Scenario(ScenarioFile):
             ScenarioError: an override does not fit.
         """
         overrides = dict(self.mavlink.overrides)
-        if self.mission is not None and takes_off_from_starts(self.mission):
-            overrides[FROM_KEY] = self.mavlink.takeoff_height_m
+        first = None if self.mission is None else self.mission.legs[0]
+        if isinstance(first, TakeOffLeg) and first.from_m is None:
+            overrides["mission.legs[0].from_m"] = self.mavlink.takeoff_height_m
         return scenario_from_text(self.text, overrides, source=self.source) if overrides else self
 
 

@@ -40,10 +40,7 @@ def optimal_slots(
 ) -> dict[int, int]:
     """The slots for which the sum of the squared distances from the positions to them is minimal.
 
-    Args:
-        scenario: the UAVs and their offsets.
-        positions: (3,) [m], ENU, of every UAV at one instant.
-        t: that instant, in seconds since the first epoch; the places of a shape that moves depend on it.
+    The positions are (3,) [m], ENU, of every UAV at time t [s] since the first epoch: a shape may move.
 
     Raises:
         SlotsError: the position of a UAV is missing or not finite.

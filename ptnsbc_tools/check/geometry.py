@@ -26,7 +26,7 @@ from ptnsbc_sim.scenario.constants import (
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings, judge
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Findings, judge
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
 _PATH_STEP_S = 0.05
@@ -66,7 +66,7 @@ def shape(scenario: Scenario) -> Findings:
         parent = scenario.communication.parent(uav)
         assert parent is not None  # or the scenario would not have loaded
         if problem := shape_problem(scenario, uav):
-            yield Finding(ERROR, *problem)
+            yield judge(*problem, severity=ERROR)
             continue
         sigma = conditioning(
             TASKS[task],

@@ -32,9 +32,7 @@ def legs(scenario: Scenario) -> Findings:
     for one, end_s in zip(found, ends, strict=False):
         if isinstance(one.leg, FormLeg) and one.number == FIRST:
             continue  # checks of the deadline are about it
-        room = leg_room(scenario, one, end_s)
-        key = f"mission.legs[{one.number - 1}]"
-        yield judge(key, room.found, room.limit, room.advice, ERROR)
+        yield judge(*leg_room(scenario, one, end_s), severity=ERROR)
     late = [one for one in found if one.due_s > scenario.timing.duration_s]
     if late:
         leg = f"leg {late[0].name} is due at {late[0].due_s:.2f} s"
@@ -131,10 +129,8 @@ def _region(scenario: Scenario) -> Findings:
     uav = max(outside, key=lambda one: outside[one])
     if outside[uav] > 0.0:
         value = f"the place of UAV {uav} goes {outside[uav]:.2f} m outside"
-        limit, advice = (
-            "every place of the formation inside",
-            "widen the fence, or move the trajectory",
-        )
+        limit = "every place of the formation inside"
+        advice = "widen the fence, or move the trajectory"
         yield judge("mavlink.geofence", value, limit, advice, ERROR)
 
 

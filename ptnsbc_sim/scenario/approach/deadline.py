@@ -34,7 +34,7 @@ from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, Route, extremes, trajectory_of
 from ptnsbc_sim.scenario.model import Plant, ScenarioFile, plant_of
-from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.problems import Problem, ScenarioError
 
 _SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
 
@@ -132,35 +132,24 @@ class Need(NamedTuple):
     deadline_s: float
 
 
-class LegRoom(NamedTuple):
-    """The room of a leg: it can be flown, or not."""
-
-    found: str
-    limit: str
-    advice: str  # empty when it can
-
-
-def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
-    """True if a leg other than a first one of kind form can be flown, by the limits of the vehicle.
-
-    Args:
-        file: a whole scenario, with the trajectory and the changes of its mission.
-        one: the leg.
-        until_s: end of the time [s] that counts, when another leg begins.
-    """
+def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> Problem:
+    """The room of a leg other than a first one of kind form, until another one begins; no advice: it can be flown."""
+    key = f"mission.legs[{one.number - 1}]"
     if isinstance(one.leg, LandLeg):
         curve, places = trajectory_of(file.leader.trajectory), _offsets_at(file, one.begin_s)
         lead = float(curve_samples(curve, np.array([one.begin_s]))[0, 2])
         height = lead + max(float(place[2]) for place in places.values()) - one.leg.ground_m
         speed = file.gains.hold.land_speed_m_s
         need = height / speed if speed > 0.0 else math.inf
-        return LegRoom(
+        return Problem(
+            key,
             f"{one.name}: {one.leg.over_s:g} s from {height:.2f} m above the ground",
             f">= {need:.2f} s at gains.hold.land_speed_m_s, {speed:g} m/s",
             "lengthen over_s, or land from a lower place" if need > one.leg.over_s else "",
         )
     left = limits_left_by_mission(file, one.begin_s, max(until_s, one.due_s))
-    return LegRoom(
+    return Problem(
+        key,
         f"{one.name} leaves {left.speed_m_s:.2f} m/s and {left.acceleration_m_s2:.2f} m/s^2 of the limits",
         "> 0",
         "lengthen over_s, or go less far" if min(left) <= 0.0 else "",

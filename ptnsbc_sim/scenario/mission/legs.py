@@ -102,9 +102,6 @@ CANCEL = 0
 FIRST = 1
 """Number of the leg that begins with the first epoch, and whose deadline is that of the formation."""
 
-FROM_KEY = "mission.legs[0].from_m"
-"""Key of the height from which a mission takes off."""
-
 _MOST_LEGS = 200
 
 
@@ -293,13 +290,7 @@ def begin_of(mission: Mission, leg: Any) -> float | None:
 def schedule(
     mission: Mission, deadline_s: float, words: Sequence[Word] = ()
 ) -> tuple[ScheduledLeg, ...]:
-    """The legs that begin, in their order.
-
-    Args:
-        mission: the legs.
-        deadline_s: of the formation.
-        words: what was said in flight; a word drops what would begin after it.
-    """
+    """The legs that begin, in their order. A word that was said in flight drops what would begin after it."""
     found = list(_run(mission, deadline_s, 0, 0.0))
     for word in words:
         found = [one for one in found if one.begin_s < word.at_s]
@@ -338,24 +329,13 @@ def takes_off(mission: Mission | None) -> bool:
     return mission is not None and isinstance(mission.legs[0], TakeOffLeg)
 
 
-def takes_off_from_starts(mission: Mission) -> bool:
-    """True if the mission begins with a take-off from the heights of the starts."""
-    first = mission.legs[0]
-    return isinstance(first, TakeOffLeg) and first.from_m is None
-
-
 def scheduled_changes(
     mission: Mission, legs: Sequence[ScheduledLeg], starts: Places
 ) -> tuple[Change, ...]:
     """The legs that change the shape, as changes at their times.
 
     The first one changes nothing. Where a leg may change the shape later, on a word, it is from the first epoch on one
-    that moves: it does not matter when a UAV hears of that word.
-
-    Args:
-        mission: the legs.
-        legs: those that begin.
-        starts: offsets [m] of the followers at the first epoch.
+    that moves: it does not matter when a UAV hears of that word. The starts are offsets at the first epoch.
     """
     nothing = Change.model_construct(at_s=0.0, over_s=0.1)
     found = [nothing] if moves_shape(mission) else []

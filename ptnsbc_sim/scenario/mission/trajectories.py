@@ -194,18 +194,15 @@ def trajectory_problems(block: AnyPath) -> Iterator[str]:
         except ValueError as error:
             problems = [f"samples: {error}"]
     yield from problems
-    if isinstance(block, Waypoints | Csv) and not problems and not _is_finite(block):
+    if isinstance(block, Waypoints | Csv) and not problems:
+        try:
+            with np.errstate(all="ignore"):
+                finite = bool(np.isfinite(trajectory_of(block).table).all())
+        except ValueError:  # of SciPy; LinAlgError is one
+            finite = False
         key = "samples" if isinstance(block, Csv) else "times_s"
-        yield f"{key}: no smooth curve goes through these points: expected times that are more even"
-
-
-def _is_finite(block: Waypoints | Csv) -> bool:
-    """True if a finite curve goes through the points."""
-    try:
-        with np.errstate(all="ignore"):
-            return bool(np.isfinite(trajectory_of(block).table).all())
-    except ValueError:  # of SciPy; LinAlgError is one
-        return False
+        if not finite:
+            yield f"{key}: no smooth curve goes through these points: expected times that are more even"
 
 
 def _too_far(numbers: Any) -> bool:

@@ -91,6 +91,7 @@ _OURS = {
     "trajectory": ("circle", "line", "hover", "lissajous", "waypoints", "csv", "stream"),
     "shape": ("v", "line", "column", "grid", "circle", "sphere", "file"),
 }
+_ABOVE = {"trajectory": "leader", "shape": "formation"}
 _DURATION_S, _STEP_S = 100.0, 0.1
 _LEAST_STEP_S = 0.01
 _FARTHEST = 1e6
@@ -101,12 +102,9 @@ class FunctionError(PluginError, ScenarioError):
 
 
 def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
-    """`tree` with the whole paths of the files of its functions: processes elsewhere read it too.
+    """`tree` with the whole paths, from a folder, of the files of its functions below the given keys.
 
-    Args:
-        tree: a scenario.
-        folder: where the files are looked for.
-        given: dotted keys; only the functions below these are changed.
+    Processes elsewhere read it too.
     """
     keys = set(given)
 
@@ -136,14 +134,18 @@ def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
 
 def refuse_functions(tree: Tree, source: str) -> None:
     """ScenarioError when a text from outside names code to execute."""
-    _refuse(_trajectory(tree) or _shape(tree), source, "here: expected the data that it gives")
+    _refuse(
+        _of_user(tree, "trajectory") or _of_user(tree, "shape"),
+        source,
+        "here: expected the data that it gives",
+    )
 
 
 def refuse_new_functions(tree: Tree, given: Mapping[str, Any], source: str) -> None:
     """ScenarioError when a value from outside of a file, as a ROS parameter, names code to execute."""
     if any(key.startswith(("leader", "formation")) for key in given):
         shape = any(key.startswith("formation.shape") or key == "formation" for key in given)
-        block = _trajectory(tree) or (_shape(tree) if shape else None)
+        block = _of_user(tree, "trajectory") or (_of_user(tree, "shape") if shape else None)
         _refuse(block, source, "as an override: expected it in a scenario file")
 
 
@@ -158,7 +160,7 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     Raises:
         FunctionError: the function cannot be loaded or called, or gives no position.
     """
-    block = _trajectory(tree)
+    block = _of_user(tree, "trajectory")
     if block is None:
         return _with_whole_path(tree, folder)
     where = f"{source}: leader.trajectory"
@@ -195,7 +197,7 @@ def with_shape(tree: Tree, source: str) -> Tree:
     Raises:
         FunctionError: the function cannot be loaded or called, or does not give a place for each UAV.
     """
-    block = _shape(tree)
+    block = _of_user(tree, "shape")
     uavs, leader = tree.get("uavs"), tree.get("leader")
     if block is None or not isinstance(uavs, list) or not isinstance(leader, dict):
         return tree
@@ -222,22 +224,14 @@ def with_shape(tree: Tree, source: str) -> Tree:
     return {**tree, "formation": {**rest, "offsets_m": offsets}}
 
 
-def _block(tree: Tree, above: str, key: str) -> Tree | None:
-    """A block whose kind is a function of the user."""
-    parent = tree.get(above)
+def _of_user(tree: Tree, key: str) -> Tree | None:
+    """The block `trajectory` or `shape` whose kind is a function of the user."""
+    parent = tree.get(_ABOVE[key])
     block = parent.get(key) if isinstance(parent, dict) else None
     kind = block.get("kind") if isinstance(block, dict) else None
     if not isinstance(kind, str) or kind in _OURS[key]:
         return None
     return block if ".py:" in kind or _entry(key, kind) is not None else None
-
-
-def _trajectory(tree: Tree) -> Tree | None:
-    return _block(tree, "leader", "trajectory")
-
-
-def _shape(tree: Tree) -> Tree | None:
-    return _block(tree, "formation", "shape")
 
 
 def whole_path(kind: str, named: str, folder: Path) -> str:
@@ -258,7 +252,7 @@ def whole_path(kind: str, named: str, folder: Path) -> str:
 
 def _with_whole_path(tree: Tree, folder: Path) -> Tree:
     """The file of a shape by its whole path: it is called when all files that are extended have been merged."""
-    block = _shape(tree)
+    block = _of_user(tree, "shape")
     if block is None or ".py:" not in block["kind"]:
         return tree
     shape = {**block, "kind": _beside(block["kind"], folder)}
