@@ -61,10 +61,10 @@ def quaternion_enu_flu_to_ned_frd(xyzw: Array) -> Array:
 
 
 def quaternion_from_euler_ned(roll: float, pitch: float, yaw: float) -> Array:
-    """Attitude (4,) w x y z from the angles [rad] of the ATTITUDE message, FRD in NED."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    """Attitude (4,) w x y z from the angles [rad] of the ATTITUDE message, FRD in NED; NaN where one is not finite."""
+    half = 0.5 * np.array([roll, pitch, yaw])
+    with np.errstate(invalid="ignore"):
+        (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
     return np.array(
         [
             cr * cp * cy + sr * sp * sy,

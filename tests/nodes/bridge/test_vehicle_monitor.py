@@ -91,9 +91,17 @@ def test_states_that_cannot_be_flown_by(broken):
     assert vehicle.on_message(broken, 0.0) is None
 
 
-def test_a_quaternion_that_is_none():
+@pytest.mark.parametrize(
+    "broken",
+    [
+        mavlink.MAVLink_attitude_quaternion_message(1, 0, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_attitude_message(1, math.inf, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_attitude_message(1, 0, math.nan, 0, 0, 0, 0),
+    ],
+)
+def test_attitudes_that_are_none(broken):
     vehicle = VehicleMonitor(PX4)
-    vehicle.on_message(mavlink.MAVLink_attitude_quaternion_message(1, 0, 0, 0, 0, 0, 0, 0), 0.0)
+    vehicle.on_message(broken, 0.0)
     assert vehicle.on_message(position(1), 0.0) is None
     assert vehicle.pose.invalid == 1
 
