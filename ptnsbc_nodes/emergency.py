@@ -21,9 +21,9 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
@@ -321,16 +321,14 @@ class VehicleRecord:
         return json.dumps(asdict(self)).encode()
 
 
-_KINDS: Mapping[object, tuple[type, ...]]
-_KINDS = {"str": (str,), "int": (int,), "bool": (bool,), "float": (int, float)}
-_TYPES = {field.name: _KINDS[field.type] for field in fields(VehicleRecord)}
+_TYPES = get_type_hints(VehicleRecord)
 
 
 def parse_record(found: object) -> VehicleRecord | None:
     """A record from decoded JSON; None when it is not one."""
     if not isinstance(found, dict):
         return None
-    if not all(isinstance(found.get(name), kinds) for name, kinds in _TYPES.items()):
+    if not all(isinstance(found.get(name), kind) for name, kind in _TYPES.items()):
         return None
     return VehicleRecord(**{name: found[name] for name in _TYPES})
 

@@ -6,12 +6,5 @@ from ptnsbc_io.bag.reader import Bag, BagTopic, read_bag
 from ptnsbc_io.bag.writer import BagWriter, SplitLimits
 
 __all__ = [
-    "BagError",
-    "TopicInfo",
-    "BagWriter",
-    "SplitLimits",
-    "Bag",
-    "BagTopic",
-    "BagMessage",
-    "read_bag",
-]
+    "Bag", "BagError", "BagMessage", "BagTopic", "BagWriter", "SplitLimits", "TopicInfo", "read_bag",
+]  # fmt: skip

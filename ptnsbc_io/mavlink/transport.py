@@ -58,7 +58,7 @@ class Transport:
             self._port.close()
 
 
-class UdpSocket(Transport):
+class _UdpSocket(Transport):
     """A UDP port that listens for the vehicle, or that sends to one address and receives only from there."""
 
     def __init__(self, host: str, port: int, *, listens: bool) -> None:
@@ -81,7 +81,6 @@ class UdpSocket(Transport):
             ) from None
 
     def receive(self) -> Packet | None:
-        """A datagram and its sender."""
         try:
             data, sender = self._port.recvfrom(_DATAGRAM)
         except OSError:  # nothing has arrived, or an ICMP error of a packet we sent
@@ -89,7 +88,6 @@ class UdpSocket(Transport):
         return Packet(data, self._peer or sender)
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """Send to the peer, or to the vehicle once it is known."""
         try:
             if self._peer is not None:
                 return bool(self._port.send(data) == len(data))
@@ -98,7 +96,7 @@ class UdpSocket(Transport):
             return False
 
 
-class Serial(Transport):
+class _Serial(Transport):
     """A serial line, raw, without flow control."""
 
     stream = True
@@ -114,7 +112,6 @@ class Serial(Transport):
             ) from None
 
     def receive(self) -> Packet | None:
-        """The bytes that have arrived."""
         try:
             data = self._port.read(_CHUNK)
         except OSError:
@@ -122,7 +119,6 @@ class Serial(Transport):
         return Packet(data, None) if data else None
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """Send on the line."""
         try:
             return bool(self._port.write(data) == len(data))
         except OSError:
@@ -136,10 +132,10 @@ def connect(text: str) -> Transport:
         device, _, baud = where.partition(":")
         if baud and not baud.isdecimal():
             raise ConnectError(f"{text}: baud rate {baud!r}: {_EXPECTED}")
-        return Serial(device, int(baud or _BAUD))
+        return _Serial(device, int(baud or _BAUD))
     host, _, port = where.rpartition(":")
     if kind not in ("udpin", "udpout") or not host or not port.isdecimal():
         raise ConnectError(f"{text}: {_EXPECTED}")
     if not 0 < int(port) < 65536:
         raise ConnectError(f"{text}: port {port}: expected 1 to 65535")
-    return UdpSocket(host, int(port), listens=kind == "udpin")
+    return _UdpSocket(host, int(port), listens=kind == "udpin")

@@ -3,6 +3,7 @@
 from ptnsbc_io.wire.cdr import Stamped, WireError
 from ptnsbc_io.wire.messages import (
     MOST_NEAR_OBJECTS,
+    NEAR_FIELDS,
     ODOMETRY_SIZE,
     Diagnostics,
     DiagnosticStatus,
@@ -22,15 +23,16 @@ from ptnsbc_io.wire.messages import (
     decode_floats,
     decode_header,
     decode_integers,
+    decode_near,
     decode_odometry,
     decode_velocity,
     decode_wrench,
     encode_clock,
+    encode_near,
     peek_sequence_stamp,
     peek_stamp,
     transform_of,
 )
-from ptnsbc_io.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
 
 __all__ = [
     "MOST_NEAR_OBJECTS", "NEAR_FIELDS", "ODOMETRY_SIZE", "DiagnosticStatus", "Diagnostics",

@@ -168,10 +168,21 @@ class Bridge:
             self.placement.companions.report(*inputs.companions.pop(0))
         self.maintenance.ignore_repetitions(now_s)
         publisher.update_world()
-        self._take_parameters(now_s)
+        if (values := self.maintenance.take_parameters(now_s)) is not None:
+            for line in findings(self.vehicle.autopilot, values, self._mavlink.rate_hz):
+                self._log(line)
+            stream.take_parameters(values)
+            self.ports.limits(stream.guard.limits)
+            if not self._alone:
+                self._log(stream.fit_to_vehicle())
         self.watch.look(now_s, procedure.step, procedure.output.stream)
         stream.layer_m = self.placement.layer_m(self.watch.middle_m, stream.guard)
-        self._fit_to_link()
+        # Before arming: whether a vehicle that flies by attitude bears its link; a generic one shows it in flight.
+        by_attitude = stream.sends_thrust(Stream.PLANNER) and not stream.sends_thrust(Stream.HOLD)
+        enough = stream.ages.count >= _LEAST_AGES_S * self._mavlink.rate_hz
+        if by_attitude and enough and not self._fitted and procedure.step in BEFORE_ARMING:
+            self._fitted = True
+            self._log(stream.fit_to_link())
         output = procedure.advance(self.snapshot(now_s))
         if procedure.gave_up and not self._told_apart:  # at once: it may land in the same tick
             self.ports.apart()
@@ -193,27 +204,6 @@ class Bridge:
         self.maintenance.urgent = procedure.step is Step.KILL
         healthy = procedure.step is not Step.FAILED
         self.maintenance.send_due(now_s, healthy, publisher.clock_jumped(now_s))
-
-    def _take_parameters(self, now_s: float) -> None:
-        """Once all parameters are read: log them, warn, and fit limits and setpoints to the vehicle."""
-        values = self.maintenance.take_parameters(now_s)
-        if values is None:
-            return
-        for line in findings(self.vehicle.autopilot, values, self._mavlink.rate_hz):
-            self._log(line)
-        self.stream.take_parameters(values)
-        self.ports.limits(self.stream.guard.limits)
-        if not self._alone:
-            self._log(self.stream.fit_to_vehicle())
-
-    def _fit_to_link(self) -> None:
-        """Before arming: whether a vehicle that flies by attitude bears its link; a generic one shows it in flight."""
-        stream = self.stream
-        by_attitude = stream.sends_thrust(Stream.PLANNER) and not stream.sends_thrust(Stream.HOLD)
-        enough = stream.ages.count >= _LEAST_AGES_S * self._mavlink.rate_hz
-        if by_attitude and enough and not self._fitted and self.procedure.step in BEFORE_ARMING:
-            self._fitted = True
-            self._log(stream.fit_to_link())
 
     def snapshot(self, now_s: float) -> VehicleSnapshot:
         """Everything by which the procedure decides."""

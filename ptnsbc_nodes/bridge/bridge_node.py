@@ -80,7 +80,7 @@ class BridgeOptions(NamedTuple):
     """Path of the key file: `ptnsbc stop` reaches the vehicle with it when this process is dead."""
 
 
-class TopicPorts(BridgePorts):
+class _TopicPorts(BridgePorts):
     """The words of a bridge to others, as topics and as lines on stderr."""
 
     def __init__(
@@ -102,45 +102,35 @@ class TopicPorts(BridgePorts):
         self._transforms = LiveTransforms(endpoints, [uav_id])
 
     def odom(self, stamp_ns: int, odometry: Array) -> None:
-        """The odometry (13,) of a vehicle in formation."""
         data = self._odometry.encode(stamp_ns, odometry)
         self._send_odom(data)
         self._transforms.publish(self._uav_id, data)
 
     def track(self, stamp_ns: int, odometry: Array) -> None:
-        """The same, of a vehicle that has left the formation."""
         self._send_track(self._odometry.encode(stamp_ns, odometry))
 
     def truth(self, stamp_ns: int, odometry: Array) -> None:
-        """The true odometry (13,) of a simulated vehicle, for the verdict."""
         self._send_truth(self._odometry.encode(stamp_ns, odometry))
 
     def origin(self, place: GeoPoint) -> None:
-        """The leader's place, for all bridges."""
         if self._send_origin is not None:
             self._send_origin(vehicle_messages.encode_origin(place))
 
     def limits(self, limits: SetpointLimits) -> None:
-        """The limits of the vehicle, for the planner."""
         planner = PlannerLimits(limits.planner_m_s, limits.acceleration_m_s2)
-        speed, acceleration = planner
-        self.log(f"planner: at most {speed:g} m/s, {acceleration:g} m/s^2")
+        self.log("planner: at most {:g} m/s, {:g} m/s^2".format(*planner))
         self._send_limits(vehicle_messages.encode_limits(planner))
 
     def battery(self, battery: Battery) -> None:
-        """The battery of the vehicle."""
         self._send_battery(vehicle_messages.encode_battery(self.ros_ns(), *battery))
 
     def lost(self) -> None:
-        """This vehicle has left the formation."""
         self._send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0))
 
     def apart(self) -> None:
-        """This vehicle gives the formation up: all others must as well."""
         self._send_order(HeaderTemplate(APART).encode(0))
 
     def log(self, line: str) -> None:
-        """A line for the operator."""
         print(f"bridge{self._uav_id}: {line}", file=sys.stderr, flush=True)
 
 
@@ -279,7 +269,7 @@ class BridgeNode:
         self.node, self._name, self._on_end = node, f"bridge{uav_id}", on_end
         self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
         recorders = edges.options.recorders
-        self._ports = ports = TopicPorts(node, self.endpoints, scenario, uav_id, recorders)
+        self._ports = ports = _TopicPorts(node, self.endpoints, scenario, uav_id, recorders)
         awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = NearPublisher(self.endpoints, scenario, uav_id, edges)
@@ -370,7 +360,7 @@ class BridgeNode:
 
     def _on_status_timer(self) -> None:
         procedure = self.bridge.procedure
-        if procedure.ready:
+        if not procedure.awaited:
             self._reports.close()
         if procedure.step is Step.APART:
             self._ports.apart()  # again, for a bridge that has just met this one

@@ -380,7 +380,7 @@ class HoverTest(BridgePorts):
     def serve(self) -> None:
         """Do what is due now; call it at least at the rate of the setpoints."""
         procedure = self.bridge.procedure
-        if procedure.ready and not self._announced:
+        if not procedure.awaited and not self._announced:
             self._announced = True
             self.inputs.legs.append(HeaderFields(self.ros_ns() + _BEGIN_NS, FIRST_LEG))
         self.bridge.serve()

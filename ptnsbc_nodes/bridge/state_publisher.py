@@ -32,13 +32,6 @@ _STEP_NS = 1000
 _JUMP_BACK_NS = 50_000_000
 
 
-class SharedVehicleState(NamedTuple):
-    """The odometry of this vehicle that the formation has received."""
-
-    messages: int  # odometry
-    stamp_ns: int  # of the newest
-
-
 class StatePublisher:
     """Decides which states of the vehicle are published, and remembers them for the replies."""
 
@@ -64,7 +57,7 @@ class StatePublisher:
         self._local_position: Array | None = None  # (3,) in the vehicle's own frame
         self._ground_m = 0.0
         self._stamp_ns = 0
-        self.shared = SharedVehicleState(0, 0)
+        self.shared = (0, 0)  # odometry that the formation has received, and the newest stamp [ns]
         self._published_s = float("-inf")
         self._clock_fault_s = float("-inf")
         self.dropped: Counter[str] = Counter(old=0, skewed=0)
@@ -122,7 +115,7 @@ class StatePublisher:
         if self._ports.inputs.leader_origin is not None:
             world.leader_at(self._ports.inputs.leader_origin)
         if vehicle.armed:
-            world.freeze()
+            world.frozen = True
         elif self.odometry is not None:
             self._ground_m = float(self.odometry[2])
 
@@ -170,7 +163,7 @@ class StatePublisher:
         self.controller.remember(stamp_ns, published)
         if in_formation:
             self._ports.odom(stamp_ns, odometry)
-            self.shared = SharedVehicleState(self.shared.messages + 1, stamp_ns)
+            self.shared = (self.shared[0] + 1, stamp_ns)
         else:
             self._ports.track(stamp_ns, odometry)
 
@@ -280,7 +273,7 @@ class WorldFrame:
         self._anchor: Anchor | None = None
         self._ground_z_m: float | None = None
         self._true_ground_m: float | None = None
-        self.frozen = False
+        self.frozen = False  # after arming the world must not move
         self.offset: Array | None = None
         """World position of the local origin (3,) [m], ENU; None while it is not known."""
         self.missing = ""
@@ -335,10 +328,6 @@ class WorldFrame:
                 return None
             position[2] = place.altitude_m - self._true_ground_m
         return np.asarray(position)
-
-    def freeze(self) -> None:
-        """Keep the offset from now on: after arming the world must not move."""
-        self.frozen = True
 
     @property
     def _settled(self) -> bool:

@@ -118,7 +118,7 @@ def bridge_status(
     following, latency, sync = stream.following.found(), stream.latency, bridge.maintenance.sync
     attitude = stream.attitude if stream.sends_thrust(Stream.PLANNER) else None
     thrust = attitude.thrust_test.found if attitude else None
-    shared = state.shared  # both of its numbers are of one instant: a reader counts what it lacks
+    sent, newest_ns = state.shared  # of one instant: a reader counts what it lacks
     round_trip = f"round trip {1e3 * sync.round_trip_s:.1f} ms"
     values = {
         **readiness(missing),
@@ -144,7 +144,7 @@ def bridge_status(
         "received": str(link.received),
         "sent": str(link.sent),
         "unsent": str(link.unsent),
-        "states_sent": f"{shared.stamp_ns} {shared.messages}",
+        "states_sent": f"{newest_ns} {sent}",
         "states_old": str(state.dropped["old"]),
         "states_skewed": str(state.dropped["skewed"]),
         "states_invalid": str(vehicle.pose.invalid),

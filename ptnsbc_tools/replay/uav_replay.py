@@ -26,7 +26,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.announcements import DecidedSlots
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
-from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import (
     SLOTS,
     ControllerSnapshot,
@@ -285,7 +285,15 @@ class UavReplay:
         self.controller = UavController(self._scenario, self.uav, self._edges, self._plugins)
         if limits is not None:
             self.controller.config = limits.applied_to(self.controller.config)
-        self._put = _inbox_setters(self.controller.inbox)
+        inbox = self.controller.inbox
+        self._put: dict[str, Callable[[Stamped], None]] = {
+            **{name: partial(setattr, inbox, name) for name in ("own", "near")},
+            **{f"state{i}": partial(inbox.on_state, i) for i in inbox.senders.heard_states},
+            **{
+                f"estimate{i}": partial(inbox.on_estimate, i)
+                for i in inbox.senders.heard_estimators
+            },
+        }
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:
         """Continue after the step of a note, with its snapshot."""
@@ -459,12 +467,3 @@ class UavReplay:
                 return of_numbers(f"snapshot {name}", float(recorded), float(computed))
         self.account.compared += 1
         return None
-
-
-def _inbox_setters(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
-    """The function that puts each kind of message into an inbox."""
-    senders = inbox.senders
-    states = {f"state{i}": partial(inbox.on_state, i) for i in senders.heard_states}
-    estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.heard_estimators}
-    own = {name: partial(setattr, inbox, name) for name in ("own", "near")}
-    return {**own, **states, **estimates}

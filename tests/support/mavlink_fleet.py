@@ -367,7 +367,9 @@ class MavlinkFleet:
                     uav.controller.inbox.on_estimate(i, sent[i][1])
 
     def airborne(self):
-        return self.run(90, until=lambda: all(u.bridge.procedure.ready for u in self.uavs.values()))
+        return self.run(
+            90, until=lambda: all(not u.bridge.procedure.awaited for u in self.uavs.values())
+        )
 
     def form(self):
         self.announce("form")

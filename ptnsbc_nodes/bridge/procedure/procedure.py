@@ -134,11 +134,6 @@ class Procedure:
             return ""
         return self._unprepared if self.step is Step.AIRBORNE else self.step.value
 
-    @property
-    def ready(self) -> bool:
-        """True if the formation may begin, as far as this vehicle is concerned."""
-        return not self.awaited
-
     def fail(self, reason: str) -> None:
         """Log a fault, also of the bridge itself, and remember it once."""
         if reason not in self.fault:
@@ -162,7 +157,16 @@ class Procedure:
         pilot_flies = self.step is Step.MODE and now.armed
         limit_s = math.inf if pilot_arms or pilot_flies else _STATES[self.step].limit_s
         if self.memory.age_s(now.now_s) > limit_s:
-            detail = f": {missing}" if (missing := _missing(self, now)) else ""
+            missing = {
+                Step.STATE: now.state_fault,
+                Step.CONTROLLER: now.state_fault
+                or "no fresh setpoints from a controller that is ready",
+                Step.MODE: f"{self.autopilot.own_mode} not confirmed",
+                Step.ARM: "arming refused",
+                Step.ARMED: f"waiting for {now.not_armed or now.climbs_first}",
+                Step.TAKEOFF: f"at {now.height_m:.1f} m of {self.takeoff_height_m:g} m",
+            }.get(self.step)
+            detail = f": {missing}" if missing else ""
             reason = f"{self.step.value}: not within {limit_s:g} s{detail}{now.vehicle_reason}"
             self._enter(Transition(_STATES[self.step].after_limit, reason), now)
         stream, command = _stream_and_command(self, now)
@@ -422,11 +426,6 @@ def _motors_stop(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     return None if now.armed else Transition(Step.FAILED)
 
 
-def _end(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
-    """Nothing follows a flight."""
-    return None
-
-
 class State(NamedTuple):
     """One step: what follows it, and for how long it is waited for."""
 
@@ -455,21 +454,9 @@ _STATES: Mapping[Step, State] = {
     Step.YIELDED: State(_motors_stop),
     Step.LAND: State(_land, 180.0),
     Step.KILL: State(_motors_stop),
-    Step.DONE: State(_end),
-    Step.FAILED: State(_end),
+    Step.DONE: State(lambda flight, now: None),
+    Step.FAILED: State(lambda flight, now: None),
 }
-
-
-def _missing(flight: Procedure, now: VehicleSnapshot) -> str:
-    """The thing for which a step that has lasted too long still waits."""
-    return {
-        Step.STATE: now.state_fault,
-        Step.CONTROLLER: now.state_fault or "no fresh setpoints from a controller that is ready",
-        Step.MODE: f"{flight.autopilot.own_mode} not confirmed",
-        Step.ARM: "arming refused",
-        Step.ARMED: f"waiting for {now.not_armed or now.climbs_first}",
-        Step.TAKEOFF: f"at {now.height_m:.1f} m of {flight.takeoff_height_m:g} m",
-    }.get(flight.step, "")
 
 
 def _stream_and_command(

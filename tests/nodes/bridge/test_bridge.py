@@ -219,17 +219,17 @@ def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
     fleet = MavlinkFleet(scenario(**{"mavlink.takeoff_height_m": 3.0}), count=1)
     fleet.airborne()
     uav = fleet.uavs[1]
-    uav.bridge.stream.guard._high[2] = 5.0  # the leader's path is at 8 m
+    uav.bridge.stream.guard.high[2] = 5.0  # the leader's path is at 8 m
     fleet.form().run(12.0)
     assert uav.bridge.stream.guard.clamped["fence"] > 100
     assert max(odometry[2] for odometry in uav.odometry) < 5.3
-    uav.bridge.stream.guard._high[2] = (
+    uav.bridge.stream.guard.high[2] = (
         4.2  # and now it is outside, within the slack: it is pushed back
     )
     fleet.run(8.0)
     assert uav.step is Step.FLY
     assert uav.odometry[-1][2] < 4.4
-    uav.bridge.stream.guard._high[2] = 2.5  # and now it is farther outside
+    uav.bridge.stream.guard.high[2] = 2.5  # and now it is farther outside
     until(fleet, uav, Step.LAND)
     assert "outside the geofence: z = " in uav.bridge.procedure.fault
 
@@ -239,7 +239,7 @@ def test_by_attitude_a_vehicle_at_the_fence_is_held_at_the_nearest_place_inside(
     made = scenario(setpoint="attitude", **{"mavlink.takeoff_height_m": 3.0})
     fleet = MavlinkFleet(made, gnss="perfect", count=1)
     uav = fleet.airborne().uavs[1]
-    uav.bridge.stream.guard._high[2] = 4.0  # the leader's path is at 8 m
+    uav.bridge.stream.guard.high[2] = 4.0  # the leader's path is at 8 m
     fleet.form().run(1.0)
     assert uav.setpoints[-1][1].get_type() == "SET_ATTITUDE_TARGET"
     fleet.run(6.0)
@@ -249,7 +249,7 @@ def test_by_attitude_a_vehicle_at_the_fence_is_held_at_the_nearest_place_inside(
     assert max(-one.z for one in held) == pytest.approx(4.0, abs=0.03)
     assert max(odometry[2] for odometry in uav.odometry) < 4.2
     assert uav.step is Step.FLY
-    uav.bridge.stream.guard._high[2] = 2.5  # and now it is farther outside than the slack
+    uav.bridge.stream.guard.high[2] = 2.5  # and now it is farther outside than the slack
     until(fleet, uav, Step.LAND)
     assert "outside the geofence: z = " in uav.bridge.procedure.fault
 

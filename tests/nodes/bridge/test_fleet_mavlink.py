@@ -241,7 +241,7 @@ def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
                     {i: u.vehicle.flight.truth.position_enu[2] for i, u in fleet.uavs.items()},
                 )
                 assert all(u.vehicle.armed for u in fleet.uavs.values())
-        return all(u.bridge.procedure.ready for u in fleet.uavs.values())
+        return all(not u.bridge.procedure.awaited for u in fleet.uavs.values())
 
     fleet.run(90.0, until=heights)
     assert up[3][2] > 1.3

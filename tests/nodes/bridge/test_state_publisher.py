@@ -93,7 +93,7 @@ def test_a_surveyed_origin_and_level_ground_need_no_gps():
     block = {"mavlink.vehicles": {2: {"origin_m": [4, 5, 9]}}, "mavlink.height": "ground"}
     flown = Flown(2, block)
     assert flown.state((1, 1, 0.4)) == pytest.approx([5, 6, 0.0])
-    flown.world.freeze()
+    flown.world.frozen = True
     assert flown.state((1, 1, -2.6)) == pytest.approx([5, 6, 3.0])
 
 
@@ -101,7 +101,7 @@ def test_the_world_stands_still_from_arming_on():
     flown = Flown(1)
     flown.world.vehicle_at(Anchor(PLACE, np.zeros(3)))
     flown.world.define_by_leader(np.zeros(3))
-    flown.world.freeze()
+    flown.world.frozen = True
     flown.world.vehicle_at(Anchor(PLACE._replace(altitude_m=500.0), np.zeros(3)))
     assert flown.state() == pytest.approx([0.1, 1.1, 0.0])
 

@@ -14,10 +14,11 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagMessage, read_bag
 from ptnsbc_io.wire import decode_integers, peek_stamp
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.uav.step_log import tick_note
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.replay.rerun import rerun
+from ptnsbc_tools.replay.rerun import ReplayState, rerun
 
 PERIOD_NS = 10_000_000
 NUMBERS_AT = 80  # in every message of ours with a header: behind the frames, before the end
@@ -344,3 +345,16 @@ def test_a_fleet_in_real_time(tmp_path):
     assert code == (told["verdict"] != "equal")
     # A machine under load may lose messages; then it is void and says of what.
     assert told["verdict"] == "equal" or any(one["gaps"] for one in told["uavs"])
+
+
+def test_counters_of_steps_that_are_not_made_do_not_pile_up():
+    pytest.importorskip("rclpy")
+    from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
+
+    state = ReplayState(load_scenario("paper_5"), [1])
+    kept = state.uavs[1].recorded_counters
+    for tick in range(0, 5000, 20):
+        data = diagnostics(tick, "uav1: planner", DiagnosticLevel.OK, "", {"ticks": str(tick)})
+        state.put(BagMessage(topics.DIAGNOSTICS.name, tick, bytes(data)))
+        assert tick in kept  # the newest is there for its step
+    assert len(kept) < 100

@@ -13,10 +13,10 @@ from ptnsbc_nodes.bridge.procedure.steps import LIFTED_M, CommandRequest, Step, 
 def test_the_formation_waits_until_the_vehicle_has_turned():
     flight = Flight().run(until=Step.AIRBORNE, unprepared="turning")
     flight.run(5.0)
-    assert not flight.procedure.ready
+    assert flight.procedure.awaited
     assert flight.procedure.awaited == "turning"
     flight.run(0.1, unprepared="")
-    assert flight.procedure.ready
+    assert not flight.procedure.awaited
     assert flight.procedure.awaited == ""
 
 
@@ -75,7 +75,7 @@ def test_an_armed_vehicle_on_the_ground_is_not_airborne_whatever_its_controller_
     by_hand = Flight(allow_arming=False).run(until=Step.ARM)
     by_hand.run(20.0, armed=True, landed=False, height_m=0.1)
     assert by_hand.step is Step.ARM
-    assert not by_hand.procedure.ready
+    assert by_hand.procedure.awaited
     by_hand.run(until=Step.AIRBORNE, height_m=LIFTED_M)
     flight = Flight().run(until=Step.READY, not_ready="bridge2")
     flight.run(until=Step.ARMED, not_armed="bridge2", armed=True, landed=False)
