@@ -193,7 +193,6 @@ def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
 
 
 def _record(header: dict[str, list[str]]) -> np.dtype[np.void]:
-    """One point of a PCD file."""
     names, kinds = header["FIELDS"], header["TYPE"]
     sizes = _numbers(header, "SIZE")
     counts = _numbers(header, "COUNT") if header.get("COUNT") else [1] * len(names)

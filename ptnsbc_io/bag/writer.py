@@ -177,7 +177,6 @@ class _WriteGuard:
             self._installed = True
 
     def remove(self) -> None:
-        """Restore Python's default handler."""
         if self._installed and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.default_int_handler)
         self._installed = False
@@ -266,8 +265,24 @@ class BagWriter:
         return {name: self._counts[number] for name, number in self._numbers.items()}
 
     def open(self) -> None:
-        """Create the first file and write what is known before the first message."""
-        self._make_part()
+        """Create `<dir>.part` with its first file, and write what is known before the first message.
+
+        BagError when it or `<dir>` exists.
+        """
+        way_out = "choose another name or pass --overwrite"
+        check_replaceable(self.directory, overwrite=self._overwrite)
+        if self._part.exists():
+            if not self._overwrite:
+                raise BagError(
+                    f"{self._part} exists, a recording that was killed or still runs: "
+                    f"rescue it with ptnsbc bag repair, {way_out}"
+                )
+            check_replaceable(self._part, overwrite=True)
+            shutil.rmtree(self._part)
+        try:
+            self._part.mkdir(parents=True)
+        except OSError as error:
+            raise BagError(f"{self._part}: cannot be created: {error.strerror}") from error
         self._guard.install()
         with self._guard:
             self._file = self._next_file()
@@ -370,23 +385,6 @@ class BagWriter:
         """Close a file, with a record that describes it as metadata.yaml describes the bag."""
         self._finished.append(file.summary)
         file.finish(bag_information([file.summary], zip(self._topics, file.counts, strict=False)))
-
-    def _make_part(self) -> None:
-        """Create `<dir>.part`; BagError when it or `<dir>` exists."""
-        way_out = "choose another name or pass --overwrite"
-        check_replaceable(self.directory, overwrite=self._overwrite)
-        if self._part.exists():
-            if not self._overwrite:
-                raise BagError(
-                    f"{self._part} exists, a recording that was killed or still runs: "
-                    f"rescue it with ptnsbc bag repair, {way_out}"
-                )
-            check_replaceable(self._part, overwrite=True)
-            shutil.rmtree(self._part)
-        try:
-            self._part.mkdir(parents=True)
-        except OSError as error:
-            raise BagError(f"{self._part}: cannot be created: {error.strerror}") from error
 
     def _rename_part(self) -> None:
         """Rename `<dir>.part` to `<dir>`; with `overwrite` the old bag is removed only then."""

@@ -6,6 +6,7 @@ Complete Parameter List; 4.7 renamed WPNAV_* (centimetres) to WP_* (metres).
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
@@ -122,14 +123,19 @@ class ModeNumbers(NamedTuple):
     sub: int
 
 
-class AutopilotLimits(NamedTuple):
-    """Limits of the vehicle; None where they are not known."""
+class SetpointLimits(NamedTuple):
+    """What a vehicle allows by its parameters, and what may be sent to it; infinite where it is not known."""
 
-    horizontal_m_s: float | None
-    up_m_s: float | None
-    down_m_s: float | None
-    acceleration_m_s2: float | None
-    tilt_rad: float | None
+    horizontal_m_s: float
+    up_m_s: float
+    down_m_s: float
+    acceleration_m_s2: float
+    tilt_rad: float
+
+    @property
+    def planner_m_s(self) -> float:
+        """Speed limit for the planner, which knows one number only; descents are clamped besides."""
+        return min(self.horizontal_m_s, self.up_m_s)
 
 
 class Rates(Enum):
@@ -255,23 +261,20 @@ def missing_parameters(autopilot: Autopilot, values: Mapping[str, float]) -> lis
     return [name for name in autopilot.parameters if name not in known]
 
 
-def limits(values: Mapping[str, float]) -> AutopilotLimits:
+def limits(values: Mapping[str, float]) -> SetpointLimits:
     """The limits of the vehicle from its parameters, for any autopilot."""
 
-    def lowest(*found: float | None) -> float | None:
-        return min((value for value in found if value is not None and value > 0.0), default=None)
+    def lowest(*names: str, centi: str) -> float:
+        known = [values[name] for name in names if name in values]
+        known += [values[centi] * _CENTI] if centi in values else []
+        return min((value for value in known if value > 0.0), default=math.inf)
 
-    def centi(name: str) -> float | None:
-        return values[name] * _CENTI if name in values else None
-
-    get = values.get
-    tilt_deg = lowest(get("MPC_TILTMAX_AIR"), get("ATC_ANGLE_MAX"), centi("ANGLE_MAX"))
-    return AutopilotLimits(
-        lowest(get("MPC_XY_VEL_MAX"), get("WP_SPD"), centi("WPNAV_SPEED")),
-        lowest(get("MPC_Z_VEL_MAX_UP"), get("WP_SPD_UP"), centi("WPNAV_SPEED_UP")),
-        lowest(get("MPC_Z_VEL_MAX_DN"), get("WP_SPD_DN"), centi("WPNAV_SPEED_DN")),
-        lowest(get("MPC_ACC_HOR_MAX"), get("WP_ACC"), centi("WPNAV_ACCEL")),
-        None if tilt_deg is None else tilt_deg * _DEGREE,
+    return SetpointLimits(
+        lowest("MPC_XY_VEL_MAX", "WP_SPD", centi="WPNAV_SPEED"),
+        lowest("MPC_Z_VEL_MAX_UP", "WP_SPD_UP", centi="WPNAV_SPEED_UP"),
+        lowest("MPC_Z_VEL_MAX_DN", "WP_SPD_DN", centi="WPNAV_SPEED_DN"),
+        lowest("MPC_ACC_HOR_MAX", "WP_ACC", centi="WPNAV_ACCEL"),
+        lowest("MPC_TILTMAX_AIR", "ATC_ANGLE_MAX", centi="ANGLE_MAX") * _DEGREE,
     )
 
 

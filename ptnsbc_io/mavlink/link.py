@@ -191,11 +191,7 @@ class MavlinkLink:
     """Decoded messages of one vehicle in, packed messages out."""
 
     def __init__(
-        self,
-        transport: Transport,
-        sysid: int,
-        wanted: frozenset[int],
-        signer: Signer | None = None,
+        self, transport: Transport, sysid: int, wanted: frozenset[int], signer: Signer | None = None
     ) -> None:
         """`wanted`: message ids to decode; the others are only counted as received."""
         self._transport = transport
@@ -263,7 +259,6 @@ class MavlinkLink:
         self.counts[reason.value] += 1
 
     def _accept(self, frame: Frame, sender: Address | None, now_s: float) -> Any:
-        """The message, when it passes all checks."""
         if frame.sysid != self._sysid:
             return self._drop(Dropped.OTHER_SYSID)
         if frame.compid != AUTOPILOT_COMPONENT:

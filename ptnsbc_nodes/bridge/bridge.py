@@ -157,7 +157,6 @@ class Bridge:
             self.ports.log(line)
 
     def _tick(self, now_s: float) -> None:
-        """One period of the stream."""
         procedure, stream, publisher = self.procedure, self.stream, self.state_publisher
         inputs = self.ports.inputs
         data, inputs.setpoint = inputs.setpoint, None

@@ -20,6 +20,7 @@ from rclpy.node import Node
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import (
@@ -36,7 +37,6 @@ from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion
 from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics, vehicle_messages

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ptnsbc_core.types import NEAR_COLUMNS, Array
+from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields, Stamped
 from ptnsbc_nodes.bridge.procedure.steps import Companion
-from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.emergency import Order
 
 

@@ -11,19 +11,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-from ptnsbc_nodes.runtime.node_parameters import (
-    AUTOSTART,
-    SCENARIO,
-    UAV,
-    NodeParameters,
-    overrides,
-)
-from ptnsbc_nodes.runtime.node_process import (
-    ProcessLifetime,
-    ros_context,
-    ros_node,
-    serve_managed,
-)
+from ptnsbc_nodes.runtime.node_parameters import AUTOSTART, SCENARIO, UAV, NodeParameters, overrides
+from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node, serve_managed
 from ptnsbc_nodes.runtime.scenario_parameters import DescribedValue, Value
 
 if TYPE_CHECKING:
@@ -101,7 +90,6 @@ def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, mana
 def _open(
     node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None], *, with_fleet: bool
 ) -> BridgeNode:
-    """The bridge with an open link to its vehicle."""
     scenario, uav = parameters.scenario, parameters.uav
     try:
         from ptnsbc_nodes.bridge.bridge import open_link

@@ -45,7 +45,6 @@ class StatePublisher:
         *,
         alone: bool = False,
     ) -> None:
-        """`alone`: no leader flies; this vehicle defines the world by its own start."""
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
         self.world = WorldFrame(scenario, uav_id, vehicle.autopilot.earth_radius_m, alone=alone)
         self.controller = ControllerSetpoints(decode_wrench if attitude else decode_velocity)

@@ -42,12 +42,7 @@ class RecordKeeper:
     """Keeps the record of a vehicle in the runtime folder: at most a second old, and a change is there at once."""
 
     def __init__(
-        self,
-        bridge: Bridge,
-        scenario: Scenario,
-        uav_id: int,
-        signing_key: str,
-        folder: Path | None,
+        self, bridge: Bridge, scenario: Scenario, uav_id: int, signing_key: str, folder: Path | None
     ) -> None:
         """`signing_key`: path of the key file; `folder`: None keeps no file."""
         link = scenario.vehicle_link(uav_id)

@@ -144,7 +144,6 @@ def tune(
 
 
 def _lines(scenario: Scenario, found: Identified, fits: Settings) -> Iterator[str]:
-    """The result in words."""
     for point in found.points:
         model = found.expected(point.hertz)
         yield (

@@ -319,7 +319,6 @@ class _Collector:
             self._decoders[names.of(names.wrench, uav)] = decode_wrench
 
     def collect(self, bag: Bag) -> None:
-        """Read all messages that the verdict needs."""
         common = (topics.EPOCH, topics.SLOTS, topics.TAKEN, topics.DIAGNOSTICS)
         names = [*self._decoders, *(topic.name for topic in common)]
         for message in bag.messages([name for name in names if name in bag.topics]):

@@ -46,7 +46,6 @@ class _UavMessages:
         self._gone = gone(flight.scenario)[:, row]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
-        """Messages of one tick."""
         odom, near, state, estimate, velocity, wrench = self._names
         track, row, encoder = self._flight.track, self._row, self._encoder
         own = encoder.odometry(Stamped(stamp_ns, track.odometry[tick, row]))

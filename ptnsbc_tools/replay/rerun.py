@@ -58,12 +58,7 @@ _KEPT_SNAPSHOTS = 8
 class ReplayState:
     """Buffered messages, epochs and UAVs of one re-run, or of a part of its UAVs."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        uavs: Sequence[int],
-        fleet: str = "",
-    ) -> None:
+    def __init__(self, scenario: Scenario, uavs: Sequence[int], fleet: str = "") -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
@@ -247,7 +242,6 @@ class LockstepDriver(Driver):
         return 0 <= tick < len(self._gone[uav]) and bool(self._gone[uav][tick])
 
     def _fetch(self, replay: UavReplay, now_ns: int) -> None:
-        """Put the inputs of a tick into the inbox."""
         expected_ns = self._next_ns[replay.uav]
         if now_ns != expected_ns:
             raise MissingError(f"{replay.inputs['own'].name} stamped {expected_ns} is not recorded")
@@ -402,12 +396,7 @@ class Rerun(NamedTuple):
         }
 
 
-def rerun(
-    bag: Bag,
-    scenario: Scenario,
-    progress: Progress = _no_progress,
-    jobs: int = 1,
-) -> Rerun:
+def rerun(bag: Bag, scenario: Scenario, progress: Progress = _no_progress, jobs: int = 1) -> Rerun:
     """Re-run every step of every UAV of a flight of ours, in `jobs` processes.
 
     `progress` gives a function that is called now and then with the messages done and their total.
@@ -451,7 +440,6 @@ def _accounts(
     realtime: bool,
     progress: Progress = _no_progress,
 ) -> Accounts:
-    """Re-run some of the UAVs."""
     state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
     wanted = state.wanted(bag)

@@ -220,7 +220,6 @@ class FormationWatch:
         *,
         alone: bool,
     ) -> None:
-        """`alone`: it flies for itself, without leader and formation."""
         self.reference = LeaderReference(scenario, uav_id)
         self.reference.place_velocity(0.0)  # compiled or loaded now, not in flight
         self._monitor = FlightMonitor(scenario.mavlink.abort)

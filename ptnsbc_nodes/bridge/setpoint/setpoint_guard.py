@@ -4,41 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_io.mavlink.autopilots import AutopilotLimits
+from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
 _APPROACH_1_S = 1.0  # allowed speed towards the fence per metre to it, and inwards outside
 _EPSILON = 1e-9
 
 
-class SetpointLimits(NamedTuple):
-    """The smaller of what the scenario and the vehicle allow."""
-
-    horizontal_m_s: float
-    up_m_s: float
-    down_m_s: float
-    acceleration_m_s2: float
-    tilt_rad: float
-
-    @property
-    def planner_m_s(self) -> float:
-        """Speed limit for the planner, which knows one number only; descents are clamped besides."""
-        return min(self.horizontal_m_s, self.up_m_s)
-
-
-def allowed(scenario: VehicleLimits, vehicle: AutopilotLimits) -> SetpointLimits:
+def allowed(scenario: VehicleLimits, vehicle: SetpointLimits) -> SetpointLimits:
     """The limits of the scenario taken down to those of the vehicle."""
-
-    def lower(name: str) -> float:
-        ours, theirs = float(getattr(scenario, name)), getattr(vehicle, name)
-        return ours if theirs is None else min(ours, theirs)
-
-    return SetpointLimits(*map(lower, SetpointLimits._fields))
+    limits = vehicle._asdict().items()
+    return SetpointLimits(*(min(float(getattr(scenario, name)), limit) for name, limit in limits))
 
 
 class SetpointGuard:

@@ -73,7 +73,6 @@ class _Climb:
         return self._target is None or abs(error) < _HEADING_TOLERANCE_RAD
 
     def target(self, odometry: Array, dt: float, up_m_s: float) -> _HoldPoint:
-        """The target of this tick."""
         if self._target is None:
             self._target = _HoldPoint(odometry)
         target, turn = self._target, dt * _TURN_RAD_S
@@ -312,7 +311,6 @@ class SetpointStream:
         return self._messages.attitude_target(now_s, attitude)
 
     def _follow(self, tick: StreamInput, reply: SetpointReply, dt: float) -> Any:
-        """The controller's setpoint as a message."""
         answered, guard = reply.odometry, self.guard
         moving = np.array(velocity_enu(tick.odometry))
         if self._link.setpoint == "attitude" and guard.outside(

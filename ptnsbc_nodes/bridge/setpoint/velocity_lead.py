@@ -64,10 +64,7 @@ def inverse(response: VelocityResponse, smoothing_s: float = _SMOOTHING_S) -> In
     below = (_S**3 + loop) * smooth**2
     ahead, dragged = (lag - _ONE) * _S**3, lag * _S**2
     wanted = (_S**3 + loop) * _S
-    pushed = (
-        Transfer(wanted + ahead * _S, below * smooth),
-        Transfer(dragged * _S, below * smooth),
-    )
+    pushed = (Transfer(wanted + ahead * _S, below * smooth), Transfer(dragged * _S, below * smooth))
     return Inverse((Transfer(ahead, below), Transfer(dragged, below)), pushed)
 
 
@@ -96,7 +93,6 @@ def flown_per_wanted(
 
 
 def _is_stable(response: VelocityResponse, drag_1_s: float) -> bool:
-    """True if the velocity loop of the vehicle itself is stable."""
     lag = (_ONE + response.tilt_s[0] * _S) * (_ONE + response.tilt_s[1] * _S)
     loop = Polynomial([response.integral, response.gain, response.derivative])
     closed = _S * (_S + drag_1_s) * lag + loop
@@ -152,7 +148,6 @@ class _Filter:
         self._memory = None
 
     def step(self, value: Array) -> Array:
-        """The output (2,) after one more period."""
         if self._memory is None:
             self._memory = (value[:, None, None] * self._rest).tolist()
         out = []

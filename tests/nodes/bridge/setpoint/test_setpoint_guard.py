@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_io.mavlink.autopilots import limits
-from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard, SetpointLimits, allowed
+from ptnsbc_io.mavlink.autopilots import SetpointLimits, limits
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard, allowed
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
 LIMITS = SetpointLimits(5.0, 3.0, 1.5, 5.0, 0.6)

@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion
+from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.state_publisher import PublishedOdometry, SetpointReply
 from ptnsbc_sim.scenario import agent_config, load_scenario
