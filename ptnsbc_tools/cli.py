@@ -25,7 +25,7 @@ _REPLACED = {"--out": "--output", "--jobs": "--workers", "--key": "--signing-key
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
 
 PANELS = {
-    "Begin": "new:new new:scenarios check:doctor check:check",
+    "Begin": "check:new check:scenarios check:doctor check:check",
     "Fly": "simulate:simulate sweep:sweep fleet:fleet flying_fleet:view fleet:demo flying_fleet:inject stop:stop "
     "flying_fleet:mission",
     "Look at flights": "look:verify sweep:compare look:report look:plot look:export look:reproduce",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from math import inf
 from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
-from ptnsbc_sim.verdict import Recording, Verdict, verdict_on
+from ptnsbc_sim.verdict import Recording, verdict_on
 from ptnsbc_sim.verdict.recording import counter_rise, recording_of
 
 
@@ -89,9 +88,12 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
     """The rows of one flight; `check` is what the dry run before it said."""
     verdict = verdict_on(recording)
     efforts = {effort.uav: effort for effort in verdict.efforts}
-    near, span_ns = _nearest(scenario, verdict), (recording.start_ns, recording.end_ns)
-    rows = []
+    span_ns = recording.start_ns, recording.end_ns
+    names, rows = {f"uav{uav}" for uav in scenario.uav_ids}, []
     for of in verdict.uavs:
+        pairs = [p for p in verdict.separations if f"uav{of.uav}" in (p.first, p.second)]
+        to_uavs = (p.distance_m for p in pairs if p.second in names)
+        to_obstacles = (p.distance_m - p.keep_out_m for p in pairs if p.second not in names)
         values: dict[str, Any] = {
             field.name: getattr(of, _OF_VERDICT.get(field.name, field.name), None)
             for field in fields(SweepRow)
@@ -104,37 +106,12 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
                 deadline_s=float(of.deadline_s),
                 avoidance_s=counter_rise(recording, of.uav, "avoidance_active_s", *span_ns),
                 deadlock_s=counter_rise(recording, of.uav, "deadlock_s", *span_ns),
-                closest_uav_m=near[of.uav].uav_m,
-                closest_obstacle_m=near[of.uav].obstacle_m,
-                inside_keep_out_s=near[of.uav].inside_s,
+                closest_uav_m=min(to_uavs, default=None),
+                closest_obstacle_m=min(to_obstacles, default=None),
+                inside_keep_out_s=sum((p.inside_s for p in pairs), 0.0),
                 peak_force_n=efforts[of.uav].peak_force_n,
                 energy_n2_s=efforts[of.uav].energy,
                 check=check,
             )
         )
     return rows
-
-
-@dataclass
-class _Room:
-    """The least distances of one UAV to others."""
-
-    uav_m: float | None = None
-    obstacle_m: float | None = None
-    inside_s: float = 0.0
-
-
-def _nearest(scenario: Scenario, verdict: Verdict) -> dict[int, _Room]:
-    rooms = {f"uav{uav}": _Room() for uav in scenario.uav_ids}
-    for pair in verdict.separations:
-        for name in (pair.first, pair.second):
-            if name not in rooms:
-                continue  # an obstacle
-            room = rooms[name]
-            room.inside_s += pair.inside_s
-            if pair.second in rooms:
-                room.uav_m = min(inf if room.uav_m is None else room.uav_m, pair.distance_m)
-            else:
-                beyond_m = pair.distance_m - pair.keep_out_m
-                room.obstacle_m = min(inf if room.obstacle_m is None else room.obstacle_m, beyond_m)
-    return {int(name.removeprefix("uav")): room for name, room in rooms.items()}

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from ptnsbc_sim.scenario.schema import as_text, headed
 from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID
 from ptnsbc_sim.verdict.verdict import CUT_SHORT, Verdict
 
@@ -18,8 +18,7 @@ _WORD = {"enum": [MET, MISSED, VIOLATED, VOID]}
 
 def schema() -> dict[str, Any]:
     """JSON schema, draft 2020-12, of the verdict that commands print with --json."""
-    found = TypeAdapter(Verdict).json_schema()
-    made = _plain(found)
+    made = TypeAdapter(Verdict).json_schema()
     # Both verdicts follow from those of the UAVs and are therefore no fields of the classes.
     for part in (made, made["$defs"]["LegVerdict"]):
         part["properties"] = {"verdict": _WORD, **part["properties"]}
@@ -28,32 +27,25 @@ def schema() -> dict[str, Any]:
     made["$defs"]["MissionLegVerdict"]["properties"]["verdict"] = {
         "enum": [*_WORD["enum"], CUT_SHORT]
     }
-    head = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Verdict of ptnsbc",
-        "description": "simulate, fleet, demo and verify with --json; they add keys of their own.",
-    }
-    return head | {key: value for key, value in made.items() if key not in head}
+    told = "simulate, fleet, demo and verify with --json; they add keys of their own."
+    plain: dict[str, Any] = _plain(headed(made, "Verdict of ptnsbc", told))
+    return plain
 
 
 def _plain(part: Any) -> Any:
-    """A schema in which numbers may be null (a figure that does not exist), without titles."""
+    """A schema in which numbers may be null: a figure that does not exist."""
     if isinstance(part, list):
         return [_plain(item) for item in part]
     if not isinstance(part, dict):
         return part
     if part.get("anyOf") == [{"type": "number"}, {"type": "null"}] or part.get("type") == "number":
         return {"type": ["number", "null"]}
-    return {
-        key: _plain(value)
-        for key, value in part.items()
-        if not (key == "title" and isinstance(value, str))
-    }
+    return {key: _plain(value) for key, value in part.items()}
 
 
 def text() -> str:
     """The schema as the committed file holds it."""
-    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+    return as_text(schema())
 
 
 if __name__ == "__main__":

@@ -51,15 +51,6 @@ class DrawnAxis:
         return np.array_equal(self.centres, np.arange(len(self.labels)))
 
 
-@dataclass(frozen=True)
-class SweepFigure:
-    """A figure and the name of its file."""
-
-    name: str
-    caption: str
-    figure: Any
-
-
 def grouped(name: str, values: Column, most: int = _MOST_BINS) -> DrawnAxis | None:
     """The flights in groups of one value, or of one bin with as many flights as the others.
 
@@ -168,14 +159,9 @@ def _pairs(sweep: FlownSweep) -> list[tuple[DrawnAxis, DrawnAxis]]:
 
 def _distributions(sweep: FlownSweep) -> Any:
     table, flights = sweep.table, sweep.table.flights
+    settled = table["settling_s"] / table["deadline_s"]
     panels: list[tuple[str, str, Array, float | None, str]] = [
-        (
-            "UAVs",
-            "settling time / deadline",
-            table["settling_s"] / table["deadline_s"],
-            1.0,
-            "deadline",
-        ),
+        ("UAVs", "settling time / deadline", settled, 1.0, "deadline"),
         ("flights", "closest pair of UAVs [m]", flights.closest_uav_m, None, ""),
     ]
     room = flights.closest_obstacle_m
@@ -218,18 +204,18 @@ def paired(label: str, name: str, a: FlightTable, b: FlightTable) -> Any:
     return figure
 
 
-def figures(sweep: FlownSweep) -> Iterator[SweepFigure]:
-    """All figures of a sweep that has flights."""
+def figures(sweep: FlownSweep) -> Iterator[tuple[str, str, Any]]:
+    """All figures of a sweep that has flights: name of the file, caption, figure."""
     for number, axis in enumerate(drawn_axes(sweep), start=1):
         caption = f"Share of flights that met the deadline, against {axis.name}"
         figure = blank_figure(_SIZE_IN)
         draw_against(figure.add_subplot(), sweep, axis)
-        yield SweepFigure(f"success-{number}", caption, figure)
+        yield f"success-{number}", caption, figure
     for number, (first, second) in enumerate(_pairs(sweep), start=1):
         caption = f"Flights met, against {first.name} and {second.name}"
-        yield SweepFigure(f"map-{number}", caption, _heat_map(sweep, first, second))
+        yield f"map-{number}", caption, _heat_map(sweep, first, second)
     caption = "When UAVs settled, and how close flights came"
-    yield SweepFigure("distributions", caption, _distributions(sweep))
+    yield "distributions", caption, _distributions(sweep)
 
 
 FOLDER = "report"
@@ -261,8 +247,8 @@ def write_report(sweep: FlownSweep) -> Path:
     """Write the page and the figures into `report/` of the sweep's folder; returns the page."""
     folder = sweep.folder / FOLDER
     pictures = [
-        _picture(one.caption, save(one.figure, folder / f"{one.name}.png"))
-        for one in figures(sweep)
+        _picture(caption, save(figure, folder / f"{name}.png"))
+        for name, caption, figure in figures(sweep)
     ]
     commands = "\n".join(one.command for one in summary.worst(sweep))
     more = (

@@ -42,7 +42,7 @@ def test_a_sweep_has_a_figure_for_each_axis_a_map_and_distributions(flown: Path)
     names = [axis.name for axis in drawn_axes(sweep)]
     assert names[0] == "plant.mass_kg [kg]"
     assert names[-1] == START_ERROR
-    shown = [one.name for one in figures(sweep)]
+    shown = [name for name, _, _ in figures(sweep)]
     assert shown[-1] == "distributions"
     assert "map-1" in shown
     assert sum(name.startswith("success") for name in shown) == len(names)
