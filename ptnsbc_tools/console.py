@@ -6,10 +6,10 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,11 +21,8 @@ COMPILING = "compiling the laws (once; then read from the cache)"
 _FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
 
-class Advance(Protocol):
-    """The function that long work calls now and then."""
-
-    def __call__(self, done: int, total: int, /) -> None:
-        """`done` of `total` steps are done."""
+Advance = Callable[[int, int], None]
+"""The function that long work calls now and then: so many steps are done, of all."""
 
 
 def out() -> Console:

@@ -24,9 +24,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
@@ -166,28 +164,8 @@ def _table(
             values = [None if value is None else cells[kind](value) for value in given]
         else:
             values = [getattr(row, name) for row in rows]
-        arrays.append(_array(values, field.type))
+        arrays.append(pa.array(values, field.type))
     return pa.Table.from_arrays(arrays, schema=schema(plan))
-
-
-def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """As `pa.array(values, kind)`, which imports pandas to look at a list: a third of a second in every worker."""
-    import pyarrow as pa
-
-    there = np.array([value is not None for value in values], dtype=bool)
-    if pa.types.is_string(kind):
-        words = [b"" if value is None else value.encode() for value in values]
-        ends = np.cumsum([0, *map(len, words)], dtype=np.int32)
-        content = [pa.py_buffer(ends), pa.py_buffer(b"".join(words))]
-    else:
-        numbers = np.array([0 if value is None else value for value in values])
-        if pa.types.is_boolean(kind):
-            numbers = np.packbits(numbers.astype(bool), bitorder="little")
-        else:
-            numbers = numbers.astype(kind.to_pandas_dtype())
-        content = [pa.py_buffer(numbers)]
-    bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
-    return pa.Array.from_buffers(kind, len(values), [bits, *content])
 
 
 def _parquet(table: pa.Table) -> bytes:
@@ -381,7 +359,7 @@ def _attempts(queue: _Queue, workers: int, scheduler: str | None) -> Iterator[_O
         # What a chunk needs is loaded before the workers are forked: they have it at once.
         import pyarrow.parquet  # noqa: F401
 
-        schema(queue.plan)
+        _table(queue.plan, [], [])
         fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
         context = multiprocessing.get_context("fork")
         while len(queue):

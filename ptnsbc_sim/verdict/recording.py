@@ -51,11 +51,8 @@ class Absence(NamedTuple):
         begin, end = (seconds(t_ns - first_ns) for t_ns in (self.begin_ns, self.end_ns))
         if self.for_good:
             return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
-        return (
-            f"joined at {end:.2f} s"
-            if self.planned
-            else f"lost at {begin:.2f} s, back at {end:.2f} s"
-        )
+        back = f"lost at {begin:.2f} s, back at {end:.2f} s"
+        return f"joined at {end:.2f} s" if self.planned else back
 
 
 class Phase(NamedTuple):
@@ -75,9 +72,8 @@ def absences(
     if not scenario.formation.reconfigures:
         return found
     last_ns = max((track.last_ns for track in tracks.values() if track.size), default=first_ns)
-    last_ns = min(
-        last_ns, first_ns + scenario.timing.ticks * scenario.timing.dt_ns
-    )  # processes go on until all have landed
+    # Processes go on until all have landed.
+    last_ns = min(last_ns, first_ns + scenario.timing.ticks * scenario.timing.dt_ns)
     for uav in scenario.uav_ids:
         spans = []
         if scenario.uav(uav).joins_ns:

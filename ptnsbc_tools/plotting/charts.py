@@ -76,13 +76,6 @@ class Mark(NamedTuple):
     label: str
 
 
-class Span(NamedTuple):
-    """A shaded span of time."""
-
-    begin: float  # [s] after the epoch
-    end: float
-
-
 @dataclass(frozen=True)
 class Chart:
     """The content of one set of axes."""
@@ -96,7 +89,9 @@ class Chart:
     marks: tuple[Mark, ...] = ()
     band: tuple[float, float] | None = None  # good values
     band_label: str = ""
-    spans: tuple[Span, ...] = ()  # times in which the error of some UAV is excused
+    spans: tuple[
+        tuple[float, float], ...
+    ] = ()  # times [s] in which the error of some UAV is excused
     spans_label: str = ""
     note: str = ""
 
@@ -372,7 +367,7 @@ def errors(flight: FlightView) -> Chart | None:
         marks=tuple(mark for mark in deadlines(flight) if mark.t <= end),
         band=(FLOOR_M, widest),
         band_label=f"widest band, {widest:.2f} m",
-        spans=tuple(Span(a, min(b, shown_s)) for a, b in excused if a < shown_s),
+        spans=tuple((a, min(b, shown_s)) for a, b in excused if a < shown_s),
         spans_label="excused near objects",
         note="Distance from its place; of the leader, from its trajectory.",
     )

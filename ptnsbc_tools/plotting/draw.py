@@ -72,9 +72,9 @@ def draw_chart(axes: Any, chart: Chart) -> None:
     """Draw a chart on Matplotlib axes."""
     if chart.log:
         axes.set_yscale("log")
-    for number, span in enumerate(chart.spans):
+    for number, (begin, end) in enumerate(chart.spans):
         label = "_" if number else chart.spans_label  # once in the legend
-        axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0, label=label)
+        axes.axvspan(begin, end, color=OBSTACLE, alpha=0.12, linewidth=0, label=label)
     if chart.band is not None:
         axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0, label=chart.band_label)
     for curve in chart.curves:
@@ -148,13 +148,9 @@ def save_pages(figures: Sequence[Any], path: Path) -> Path:
     return path
 
 
-def draw_paths(axes: Any, recording: Recording) -> None:
-    """Draw the paths of all legs and the obstacles from above on Matplotlib axes."""
-    _from_above(axes, recording, _paths(recording))
-
-
-def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
-    for index, (uav, path) in enumerate(positions.items()):
+def draw_paths(axes: Any, recording: Recording, paths: dict[int, Array] | None = None) -> None:
+    """Draw the paths of all legs, `paths` where they are read already, and the obstacles from above on Matplotlib axes."""
+    for index, (uav, path) in enumerate((paths or _paths(recording)).items()):
         style = _style(look(index))
         leader = " (leader)" if uav == recording.flown.leader.id else ""
         axes.plot(path[:, 0], path[:, 1], label=f"UAV {uav}{leader}", linewidth=1.3, **style)
@@ -217,8 +213,8 @@ def _surface(obstacle: Obstacle) -> Array | None:
     return None
 
 
-def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
-    for index, path in enumerate(positions.values()):
+def _in_space(axes: Any, recording: Recording, paths: dict[int, Array]) -> None:
+    for index, path in enumerate(paths.values()):
         axes.plot(path[:, 0], path[:, 1], path[:, 2], linewidth=1.3, **_style(look(index)))
     for obstacle in recording.scenario.world.bodies:
         surface = _surface(obstacle)
@@ -246,11 +242,10 @@ def _paths(recording: Recording) -> dict[int, Array]:
 
 def draw_flight(recording: Recording, path: Path, tolerance: float | None = None) -> Path:
     """Draw a recording that has a verdict into a PNG, SVG or PDF: from above, in space, and its formation error."""
-    positions = _paths(recording)
-    figure = blank_figure((12, 9))
+    figure, paths = blank_figure((12, 9)), _paths(recording)
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
-    _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
-    _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, positions)
+    draw_paths(figure.add_subplot(panels[0, 0]), recording, paths)
+    _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, paths)
     limit_m = tolerance_of(recording, tolerance)
     chart = errors(FlightView(recording, StatusSeries(), limit_m, None, ""))
     if chart is not None:

@@ -13,15 +13,13 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, parse_axis, parse_starts, run, runner
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, rows_of
-from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, _array, chunk_count, fly_chunk
+from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, chunk_count, fly_chunk
 from ptnsbc_sim.verdict.recording import recording_of
 
 pa = pytest.importorskip("pyarrow")
@@ -229,31 +227,3 @@ def test_chunks_cover_all_draws() -> None:
     plan = small(60)
     found = [k for index in range(chunk_count(plan)) for k in runner.chunk_draws(plan, index)]
     assert found == list(range(60))
-
-
-KINDS = {
-    pa.int64(): st.integers(-(2**63), 2**63 - 1),
-    pa.float64(): st.floats(),
-    pa.string(): st.text(),
-    pa.bool_(): st.booleans(),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=str)
-@given(data=st.data())
-def test_a_column_is_that_of_pyarrow(kind, data):
-    values = data.draw(st.lists(st.none() | KINDS[kind], max_size=40))
-    found, expected = _array(values, kind), pa.array(values, kind)
-    found.validate(full=True)
-    assert (found.type, found.null_count) == (expected.type, expected.null_count)
-    assert repr(found.to_pylist()) == repr(expected.to_pylist())
-
-
-def test_a_worker_needs_no_pandas():
-    told = (
-        "import sys, pyarrow as pa; from ptnsbc_sim.sweep.runner import _array; "
-        "_array([1.0, None], pa.float64()); _array(['a', None], pa.string()); "
-        "print('pandas' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"
