@@ -58,4 +58,5 @@ def required(advice: str = INSTALL) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise RosMissingError(f"{error.name} is not installed: {advice}") from None
+        package = str(error.name).partition(".")[0]
+        raise RosMissingError(f"{package} is not installed: {advice}") from None
