@@ -361,13 +361,8 @@ def draw_family(
     for key, value in (("task", family.task), ("assignment", family.assignment)):
         if value is not None:
             tree["formation"][key] = value
-    values |= {
-        "size": size,
-        "tree": tree_kind,
-        "shape": shape,
-        "spacing_m": spacing,
-        "obstacles": len(world["obstacles"]),
-    }
+    values |= {"size": size, "tree": tree_kind, "shape": shape, "spacing_m": spacing}
+    values["obstacles"] = len(world["obstacles"])
     if family.deadline is not None:
         rng = generator("family deadline")
         values["deadline_s"] = _draw_deadline(family.deadline, base, tree, places, goals, rng)
@@ -433,11 +428,6 @@ def family_columns(family: Family) -> dict[str, str]:
         ("delay_s",): family.delay_s,
         ("heaviest", "lightest"): family.mass,
     }
-    names = (
-        *always,
-        *(name for of, block in sometimes.items() if block is not None for name in of),
-    )
-    words, counts = ("path", "tree", "shape"), ("size", "obstacles")
-    return {
-        name: "str" if name in words else "int" if name in counts else "float" for name in names
-    }
+    drawn = (name for of, block in sometimes.items() if block is not None for name in of)
+    kinds = {**dict.fromkeys(("path", "tree", "shape"), "str"), "size": "int", "obstacles": "int"}
+    return {name: kinds.get(name, "float") for name in (*always, *drawn)}

@@ -186,11 +186,7 @@ def export(
 
     path = reporting.checked(_beside(source, ".csv") if output is None else output)
     with console.patience(f"reading {source}"):
-        if (
-            source.is_dir()
-            and (source / "plan.json").is_file()
-            and not (source / METADATA_FILE).exists()
-        ):
+        if (source / "plan.json").is_file() and not (source / METADATA_FILE).exists():
             from ptnsbc_tools.library.sweeping import open_sweep
 
             reporting.export(open_sweep(source), path)

@@ -149,7 +149,7 @@ def save_pages(figures: Sequence[Any], path: Path) -> Path:
 
 
 def draw_paths(axes: Any, recording: Recording, paths: dict[int, Array] | None = None) -> None:
-    """Draw the paths of all legs and the obstacles from above on Matplotlib axes; `paths` when they are read already."""
+    """Draw the paths of all legs and the obstacles from above; `paths` where they are read already."""
     for index, (uav, path) in enumerate((paths or _paths(recording)).items()):
         style = _style(look(index))
         leader = " (leader)" if uav == recording.flown.leader.id else ""

@@ -421,16 +421,6 @@ def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
     return found
 
 
-def _share_table(sweep: FlownSweep) -> Table:
-    table = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
-    names = ("flights met", "UAVs met", "flights inside a keep-out", "flights with a deadlock")
-    shown = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
-    for name, one in shown.items():
-        wide = "wide: fly more" if one.wide else ""
-        table.add_row(name, *_share_cells(one), wide)
-    return table
-
-
 def _share_cells(one: Share) -> tuple[str, str, str, str]:
     value = f"{100 * one.value:.1f} %" if one.of else "-"
     return str(one.count), str(one.of), value, one.interval
@@ -471,6 +461,11 @@ def _digits(value: float) -> str:
 
 def tables(sweep: FlownSweep) -> list[Table]:
     """All tables, in the order in which they are read; those without rows are left out."""
+    counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
+    names = ("flights met", "UAVs met", "flights inside a keep-out", "flights with a deadlock")
+    shown = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
+    for name, one in shown.items():
+        counts.add_row(name, *_share_cells(one), "wide: fly more" if one.wide else "")
     why = new_table("Why UAVs are not met", ("", "UAVs", "cause"))
     for verdict, cause, count in causes(sweep):
         why.add_row(word(verdict), str(count), cause)
@@ -486,11 +481,10 @@ def tables(sweep: FlownSweep) -> list[Table]:
     look_at = new_table("The flights to look at", heads)
     for flight in worst(sweep):
         values = (flight.largest_after_m, flight.largest_after_all_m, flight.closest_uav_m)
-        shown = ["-" if value is None else _digits(value) for value in values]
-        look_at.add_row(
-            str(flight.draw), word(flight.verdict), str(flight.uav), *shown, flight.cause
-        )
-    every = (_share_table(sweep), _cells_table(sweep), why, figures, distances, look_at)
+        figures_shown = ["-" if value is None else _digits(value) for value in values]
+        about = str(flight.draw), word(flight.verdict), str(flight.uav)
+        look_at.add_row(*about, *figures_shown, flight.cause)
+    every = (counts, _cells_table(sweep), why, figures, distances, look_at)
     return [table for table in every if table is not None and (table.row_count or table is figures)]
 
 

@@ -70,9 +70,9 @@ def test_time_in_which_an_error_is_excused(fly, count):
     active = count(12.0, active=lambda t: np.clip(t - 7.0, 0.0, 1.0))
     recording = fly()
     recording = replace(recording, counters={**recording.counters, 4: active})
-    (span,) = drawn(recording)["errors"].spans
-    assert span.begin == pytest.approx(7.0)
-    assert 8.0 < span.end <= 12.0
+    ((begin, end),) = drawn(recording)["errors"].spans
+    assert begin == pytest.approx(7.0)
+    assert 8.0 < end <= 12.0
 
 
 def test_inputs_against_weight_and_limit(fly):
