@@ -21,7 +21,7 @@ from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
-from ptnsbc_nodes.bridge.link_maintenance import Commands
+from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 from ptnsbc_nodes.emergency import (
     KILL,
