@@ -35,8 +35,8 @@ LAYERS = (
 PRODUCT = ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools", "ptnsbc")
 """What `import ptnsbc` and the commands need."""
 
-# What goes in takes something out. The lines are on their way to 42 000: lower the limit with every one that goes.
-MOST_LINES, MOST_MODULES = 46_000, 315  # of the product, without blank lines
+# What goes in takes something out.
+MOST_LINES, MOST_MODULES = 42_000, 300  # of the product, without blank lines
 MOST_BENCH_LINES = 2_200
 LARGEST_FOLDER = 15
 LARGEST_CLASS = 15  # methods
