@@ -101,6 +101,7 @@ pip=(.venv/bin/python -m pip --quiet --disable-pip-version-check --no-input inst
 install() { "${pip[@]}" "$@"; }
 # uv installs a lock in a fifth of the time: the user's, or one of our own in .venv. Without it pip does everything.
 uv=$(command -v uv || true)
+export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-1}" UV_NATIVE_TLS="${UV_NATIVE_TLS:-1}"  # the computer's certificates, as pip's
 if [ -z "$uv" ] && "${pip[@]}" --require-hashes -r requirements/uv.lock 2>/dev/null; then uv=.venv/bin/uv; fi
 if [ -n "$uv" ]; then
   install() {
