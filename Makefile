@@ -52,7 +52,7 @@ results: setup  ## Fly the paper again: docs/results.md, tables.md, envelope.md 
 commands: setup  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)
 
-bench: setup  ## Measure the figures that the README quotes
+bench: setup  ## Measure the figures that the pages quote
 	@time $(BIN)/python -m bench $(ARGS)
 
 lint: setup  ## ruff (style, layering), formatting, mypy, nothing newer than Python 3.10; docker/

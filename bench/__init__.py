@@ -1,1 +1,1 @@
-"""The figures that the README quotes, each measured beside a reference: `make bench`."""
+"""The figures that the pages quote, each measured beside a reference: `make bench`."""

@@ -64,7 +64,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="bench", description="Measure what the README quotes.")
+    parser = argparse.ArgumentParser(prog="bench", description="Measure what the pages quote.")
     parser.add_argument(
         "--only", action="append", choices=SECTIONS, metavar="NAME", help=", ".join(SECTIONS)
     )

@@ -361,7 +361,7 @@ def step(
 
     at_epoch = _begins_anew(state, motions, estimate_valid, t)
     epoch = EpochErrors(at_epoch, state.start, state.recovery)
-    if at_epoch:  # a UAV that begins after the end of the common plan has a time base of its own
+    if at_epoch:  # with a tenth of the common plan left or less a UAV has a time base of its own
         own_base = UNDISTURBED if is_plan_left(t, config) else DISTURBED
         epoch = EpochErrors(True, state.start, own_base)
     behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)

@@ -26,7 +26,7 @@ Odometry = tuple[float, ...]  # the 13 numbers of an odometry vector
 OdometryLike = Array | Odometry
 NEAR_COLUMNS = 7
 
-# Gain profiles (docs/method.md): G(t) = Xi(t) + kappa c(t)
+# Gain profiles (docs/method.md): the c(t) of G(t) = Lambda (Xi(t) + kappa c(t))
 PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
 PROFILES = {"paper": PROFILE_PAPER, "soft": PROFILE_SOFT, "reference": PROFILE_REFERENCE}
 
@@ -96,7 +96,7 @@ class AdaptationState(NamedTuple):
 
 
 class LoopGain(NamedTuple):
-    """G(t) = Xi(t; tf, q) + kappa c(t), applied as scale * G (Lambda of the paper)."""
+    """G(t) = Lambda (Xi(t; tf, q) + kappa c(t)) [1/s]."""
 
     duration_s: float  # tf [s]
     residual: float  # q, 0 < q < 1

@@ -2,8 +2,8 @@
 
 Two ways to the formation. `task` is the paper's: the task itself closes every error. `planned` forms by positions
 and holds by the task: all UAVs move on straight lines, or on arcs that all turn by the same angle, with one time
-profile, in the leader's moving frame. Feedback acts on deviations from that plan only (docs/method.md, "The planned
-approach").
+profile, in the leader's moving frame. Feedback acts on deviations from that plan only (docs/method.md,
+"Formation").
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _NEAR, _FAR = 0.1, 0.3
 """Shares of the parent's distance: a position error below the first is the task's, above the second it is not."""
 
 _SINGULAR, _CONDITIONED = 0.5, 0.9
-"""Smallest singular values of the task in metres: below the first the positions hold, above the second the task."""
+"""Smallest singular values [1] of the task in metres: below the first the positions hold, above the second the task."""
 
 _HANDOVER = 0.2
 """The task takes over from the positions during this share of tf after tf."""
@@ -71,8 +71,8 @@ class FormationErrors(NamedTuple):
     """The errors of a follower in the formation."""
 
     task: Vector3  # sigma_d - sigma, the task's own units
-    slot: Vector3  # [m, ENU] to the desired position relative to the leader
-    edge: Vector3  # [m, ENU] to the desired position relative to the parent
+    slot: Vector3  # E [m, ENU]: to the desired position relative to the leader
+    edge: Vector3  # e [m, ENU]: to the desired position relative to the parent
 
 
 @kernel
@@ -152,7 +152,7 @@ def _by_task(
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
-    """v_L + J^+ [Lambda G e - J_j (v_j - v_L)], in place of (30).
+    """v_i = v_L + J^+ [G (sigma_d - sigma) - J_j (v_j - v_L)], in place of (30)  (3,) [m/s, ENU].
 
     The reference moves with v_L, so its own term vanishes. v_L stays outside the pseudo-inverse: damping must not
     slow the feed-forward.
@@ -186,13 +186,14 @@ def _planned(
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
-    """v_L - z_dot E_0 + (Xi + (1 - rho) kappa) D + rho (kappa d + d_j), after tf the task in place of d.
+    """v_i = v_L - z_dot E_0 + (Xi + (1 - rho) kappa) D + rho (kappa d + d_j)  (3,) [m/s, ENU], in place of (30).
 
-    E is the error in the leader's frame, e the error relative to the parent, D = E - z E_0 and d = e - z e_0
-    what they deviate from the plan, and d_j the velocity of the parent beside its own plan. z is 1 - h, turned.
-    After tf the task has J^+ (kappa e_task - J_j d_j) in place of kappa d + d_j. A deviation of the parent reaches its
-    child through rho (s + kappa) / (s + kappa): the gain per hop is rho, whatever the vehicle and the delay. After an
-    encounter D and d count from the UAV's own way back.
+    E (`slot`) is the error in the leader's frame, e (`edge`) the error relative to the parent; D = E - z E_0
+    (`beside_plan`) and d = e - z e_0 (`beside_edge`) are their deviations from the plan, and d_j (`follow`) is the
+    velocity of the parent beside its own plan. z is 1 - h(t / T), turned, with T the duration of the plan, and rho is
+    `_SHARE`. After tf the task has J^+ (kappa (sigma_d - sigma) - J_j d_j) in place of kappa d + d_j. A child takes rho
+    times the deviation of its parent: the gain per hop is rho, whatever the vehicle and the delay
+    (docs/notes/chains.md). After an encounter D and d count from the UAV's own way back.
     """
     gain = config.formation
     kappa = gain.scale * gain.kappa
@@ -247,7 +248,7 @@ def _planned(
 def braked(
     correction: Vector3, free: Vector3, distance: float, gain: float, config: AgentConfig
 ) -> Vector3:
-    """A velocity that closes a deviation of `distance` [m], beside `free`, no faster than half of the braking allows.
+    """`correction`, whose part beside the feed-forward `free` closes a `distance` [m] with half of the braking.
 
     A UAV that avoidance led far from its plan would otherwise come back faster than it can stop, and circle. Nor is it
     faster than its way back may be: what stands in its way is seen within the range of the sensor only.

@@ -38,7 +38,7 @@ from ptnsbc_core.types import (
 def leader_tracking(
     position: Vector3, desired: Reference, epoch: EpochErrors, clock: Clock, config: AgentConfig
 ) -> Behaviour:
-    """p_dot = c p_r_dot + Lambda G (p_r - p_1): sigma = p_1, J = I.
+    """p_dot = c p_r_dot + G (p_r - p_1): sigma = p_1, J = I.
 
     The trajectory may already move at t = 0. c(t) keeps its feed-forward from being a step. The error that c(t)
     leaves decays by tf, because the gain acts until then.
@@ -79,7 +79,7 @@ def leader_tracking(
 def attitude(
     own: OdometryLike, yaw: float, epoch: EpochErrors, clock: Clock, config: AgentConfig
 ) -> tuple[Vector3, Vector3]:
-    """w = W^-1 Lambda G (beta_d - beta) with beta_d = (0, 0, yaw).
+    """w = W^-1 G (beta_d - beta) with beta_d = (0, 0, yaw).
 
     Returns the body rates [rad/s] and the Euler error [rad].
     """

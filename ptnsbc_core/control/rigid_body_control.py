@@ -1,7 +1,8 @@
 """Time-base-generator sliding-mode controller (49)-(52), docs/method.md, for a body with six inputs.
 
 tau = Y Psi_hat - Omega_0 (G V~ + delta_hat sat(V~ / width)), V~ = V - V_r, with Y Psi = Omega V_r_dot +
-C V_r - G. All quantities in the body frame FLU; V = [v; w] [m/s, rad/s], tau = [force; torque] [N, N m].
+C V_r - G_g. G is the gain of timebase.py, and G_g the wrench of gravity. All quantities in the body frame FLU;
+V = [v; w] [m/s, rad/s], tau = [force; torque] [N, N m].
 
 Before it stands the command filter: first order with limited acceleration. Its rate is the V_r_dot of (49), which would
 otherwise be impulsive whenever a task is switched.
@@ -84,7 +85,7 @@ def filter_step(
     limit: float,
     dt: float,
 ) -> FilterOutput:
-    """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second.
+    """x_dot = lead + bandwidth (target - x), |x_dot| <= limit; `state` x (3,), `target` (3,), `bandwidth` [1/s].
 
     `lead` (3,) is the rate of the target. A target that moves at a known rate is followed without the lag
     rate / bandwidth of the filter alone.
@@ -102,7 +103,7 @@ def filter_step(
 def sliding_term(
     error: Vector3, gain: LoopGain, bound: float, width: float, clock: Clock
 ) -> Vector3:
-    """Specific feedback [m/s^2] or [rad/s^2]: -(Xi_3 + kappa) V~ - delta_hat sat(V~ / width)."""
+    """Specific feedback [m/s^2] or [rad/s^2]: -G V~ - delta_hat sat(V~ / width), G of timebase.py."""
     rate = loop_gain(gain, clock)
     return (
         -rate * error[0] - bound * saturation(error[0], width),
@@ -282,7 +283,7 @@ def rigid_body_control(
     reference_dot = sub3(matvec_transposed(r, command.acceleration), cross3(rates, reference))
     error = sub3(load3(own, 7), reference)
     rate_error = sub3(rates, command.rates)
-    # m (v_r_dot + w x v_r + g R^T e3): the translational rows of Y Psi, per kilogram
+    # v_r_dot + w x v_r + g R^T e3: the translational rows of Y Psi over the mass
     model = axpy(config.gravity, r[2], add3(reference_dot, cross3(rates, reference)))
     feedback = sliding_term(error, config.force, before.bound[0], config.boundary[0], clock)
     rate_feedback = sliding_term(

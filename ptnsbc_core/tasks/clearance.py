@@ -95,7 +95,9 @@ def _add_circulation(
     memory: Array,
     config: ClearanceConfig,
 ) -> Vector3:
-    """`velocity` plus a tangential motion around each blocking object, in proportion to how much it blocks.
+    """v_2 = v + sum of c r_m lambda_m s_m t_m: a motion along the tangent t_m (3,) of each object m that blocks.
+
+    lambda_m is the multiplier of its constraint, r_m a ramp and s_m the side.
 
     Around what moves only where it leaves the UAV no progress: it may be another UAV that moves along with this one.
     """
@@ -138,7 +140,10 @@ def _unconstrained(
 def set_based(
     position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
-    """The least change of the formation velocity that satisfies all constraints."""
+    """v = argmin |v - v_2|^2 with n_m.v >= b_m for all m; n (M, 3), b (M,) [m/s].
+
+    v_2 is the formation velocity, plus a circulation around what blocks it. The binding n are the rows of the task.
+    """
     rows = constraints(position, view, config)
     multipliers = admissible_multipliers(velocity, rows)
     side = np.zeros(multipliers.shape[0])
@@ -196,7 +201,7 @@ def switched(
 
 @inline_kernel
 def _within_sight(velocity: Vector3, view: ObstacleView, config: ClearanceConfig) -> Vector3:
-    """`velocity` at which the UAV can stop within the sensor's range, when that has long been silent."""
+    """`velocity`, limited to what can be braked within the range of the sensor once the sensor has long been silent."""
     if config.rule == AVOIDANCE_OFF or not is_stale(view, config):
         return velocity
     latency = LATENCIES * (config.lag_s + view.age_s)

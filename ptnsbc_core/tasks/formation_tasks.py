@@ -21,7 +21,7 @@ ZERO: Matrix3 = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Jacobian with respect to a point on which the task does not depend."""
 
 SOFTENING_M2 = 0.05**2
-"""Added to squared projected lengths: the gradient of an angle stays below 10 rad/m when points coincide."""
+"""Added to squared projected lengths: the gradient of an angle stays below 15 rad/m where points coincide."""
 
 _LONG_M2 = 0.1
 """A squared length above which what is added, 0.05^2 exp(-40) at most, is below half a unit in its last place."""
@@ -72,8 +72,8 @@ def softened(square: float) -> float:
 def signed_angle(a: Vector2, b: Vector2) -> SignedAngle:
     """Angle from a to b, vectors projected on a plane: atan2(a x b, a . b) in place of (24).
 
-    The gradients are those of the design's rule, (-Q0 a)^T/|a|^2 and (Q0 b)^T/|b|^2, softened where a
-    projection vanishes (Table 2: UAV 2 and 3 share x and z).
+    d_a = (a_y, -a_x) / |a|^2 and d_b = (-b_y, b_x) / |b|^2, with both squares softened where a projection vanishes
+    (Table 2: UAV 2 and 3 share x and z).
     """
     angle = math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
     length_a = a[0] * a[0] + a[1] * a[1]
@@ -86,7 +86,7 @@ class DistanceAngles:
     """Task `distance_angles`, (23): distance to the parent, angles parent-own-reference in XOY and XOZ.
 
     sigma = [|p_i - p_j|, angle from p_j - p_i to p_k - p_i in XOY, the same in XOZ]; world ENU, metres and radians,
-    angles counted counter-clockwise from the parent to the reference. Jacobians replace (26)-(29), which divide
+    angles counted counter-clockwise from the parent to the reference. Jacobians replace (25)-(29), which divide
     by zero when the three are collinear. Singular when the angle at k is 90 degrees (docs/method.md).
     """
 

@@ -124,7 +124,7 @@ class ModeNumbers(NamedTuple):
 
 
 class SetpointLimits(NamedTuple):
-    """What a vehicle allows by its parameters, and what may be sent to it; infinite where it is not known."""
+    """Limits of a vehicle, by its parameters, for what may be sent to it; infinite where not known."""
 
     horizontal_m_s: float
     up_m_s: float
