@@ -184,7 +184,7 @@ _BY_VALUE = 160
 
 
 class _Target(types.Type):
-    """Type of a pointer to what is laid out as in C. Whoever made it keeps its arrays, which it does not count."""
+    """Type of a pointer to a struct in the layout of C. Its owner keeps the arrays alive: it holds no reference."""
 
     def __init__(self, target: Any) -> None:
         self.target = target

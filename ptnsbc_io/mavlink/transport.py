@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
@@ -31,7 +32,7 @@ class Packet(NamedTuple):
     sender: Address | None  # None on a serial line
 
 
-class Transport:
+class Transport(ABC):
     """A connection to one vehicle."""
 
     stream = False
@@ -44,13 +45,13 @@ class Transport:
         """For select()."""
         return int(self._port.fileno())
 
+    @abstractmethod
     def receive(self) -> Packet | None:
         """The bytes that have arrived; None when there are none."""
-        raise NotImplementedError
 
+    @abstractmethod
     def send(self, data: bytes, address: Address | None) -> bool:
         """Send, to `address` where the transport has no fixed address; False when that fails."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Close the port."""

@@ -356,7 +356,7 @@ def _attempts(queue: _Queue, workers: int, scheduler: str | None) -> Iterator[_O
             index = queue.take()
             yield _outcome(index, lambda index=index: fly_chunk(queue.text, index))  # type: ignore[misc]
     elif len(queue):
-        # What a chunk needs is loaded before the workers are forked: they have it at once.
+        # Libraries and laws are loaded before the workers are forked: each worker has them at once.
         import pyarrow.parquet  # noqa: F401
 
         _table(queue.plan, [], [])

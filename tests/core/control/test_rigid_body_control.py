@@ -415,7 +415,7 @@ def push_seen(push: np.ndarray, ticks: int, config: ControllerConfig, dt=DT, fro
 
 
 def test_observer_has_three_poles_at_its_bandwidth(config: ControllerConfig) -> None:
-    """What is left of a constant push after t is (1 + w t - (w t)^2) exp(-w t) of it."""
+    """The observer misses (1 + w t - (w t)^2) exp(-w t) of a constant push after t."""
     push, dt = np.array([0.5, -0.3, 0.2]), 1e-4
     for ticks in (500, 2000, 5000):
         wt = 8.0 * ticks * dt
