@@ -15,11 +15,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
+from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, UavId, Vec3
 from ptnsbc_sim.scenario.mission.shapes import Change, Reshaping, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 
-_SECOND_NS = 1_000_000_000
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _DATE = TypeAdapter(datetime)  # datetime.fromisoformat knows no Z before Python 3.11
 _TIME_OF_DAY = re.compile(r"(\*|[01]\d|2[0-3]):(\*|[0-5]\d):([0-5]\d)(?:\.(\d{1,6}))?Z", re.ASCII)
@@ -69,9 +69,7 @@ def utc_time(text: str) -> UtcTime:
         whole_s, period_s = whole_s + 60 * int(minute), 3600
     if hour != "*":
         whole_s, period_s = whole_s + 3600 * int(hour), 86_400
-    return UtcTime(
-        whole_s * _SECOND_NS + int((fraction or "").ljust(9, "0")), period_s * _SECOND_NS
-    )
+    return UtcTime(whole_s * SECOND_NS + int((fraction or "").ljust(9, "0")), period_s * SECOND_NS)
 
 
 def _utc(value: Any) -> Any:
