@@ -27,7 +27,7 @@ LITTLE_ENDIAN_HEADER = b"\x00\x01\x00\x00"
 _BODY = 4  # the encapsulation header; alignment starts after it
 _BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
 _LITTLE_FLOAT64 = np.dtype("<f8")
-_TIME = struct.Struct("<iI")
+TIME = {order: struct.Struct(f"{order}iI") for order in "<>"}  # builtin_interfaces/Time
 
 _Writer = Callable[[bytearray, Any], None]
 _PRIMITIVES = {
@@ -83,52 +83,51 @@ def split_stamp(stamp_ns: int) -> tuple[int, int]:
 @lru_cache(maxsize=8)  # the messages of one tick have the same stamp
 def stamp_bytes(stamp_ns: int) -> bytes:
     """The builtin_interfaces/Time of a little-endian message."""
-    return _TIME.pack(*split_stamp(stamp_ns))
+    return TIME["<"].pack(*split_stamp(stamp_ns))
+
+
+def cut(buf: bytes, what: str, size: int) -> WireError:
+    """The error of a message that ends before `size` bytes."""
+    return WireError(f"{what}: {len(buf)} bytes: expected at least {size}, the message is cut")
 
 
 class Reader:
     """Reads the fields of a message one after the other; WireError where they end too early."""
 
-    def __init__(self, buf: bytes, what: str) -> None:
-        """`what`: type of the message, for errors."""
+    def __init__(self, buf: bytes, what: str, at: int = _BODY) -> None:
+        """`what`: type of the message, for errors; `at`: where the first field begins."""
         self._buf, self._what = buf, what
         self.order = byte_order(buf, what)
         """`<` or `>`, as struct writes it."""
-        self.at = _BODY
+        self.at = at
 
     def take(self, size: int, alignment: int = 1) -> bytes:
         """The next `size` bytes, which begin at a multiple of `alignment`."""
-        start = self._step_over(size, alignment)
+        start = self.at + (_BODY - self.at) % alignment
+        self.at = start + size
+        if len(self._buf) < self.at:
+            raise cut(self._buf, self._what, self.at)
         return self._buf[start : self.at]
 
     def numbers(self, letters: str, alignment: int = 4) -> tuple[Any, ...]:
         """Numbers in the letters of struct."""
         layout = _layout(self.order + letters)
-        return layout.unpack_from(self._buf, self._step_over(layout.size, alignment))
-
-    def _step_over(self, size: int, alignment: int) -> int:
-        """Where the next `size` bytes begin."""
         start = self.at + (_BODY - self.at) % alignment
-        self.at = start + size
+        self.at = start + layout.size
         if len(self._buf) < self.at:
-            raise WireError(
-                f"{self._what}: {len(self._buf)} bytes: expected at least {self.at}, the message is cut"
-            )
-        return start
+            raise cut(self._buf, self._what, self.at)
+        return layout.unpack_from(self._buf, start)
 
     def stamp(self) -> int:
         """A builtin_interfaces/Time [ns]."""
         seconds, nanoseconds = self.numbers("iI")
-        return seconds * SECOND_NS + nanoseconds
-
-    def skip_text(self) -> bytes:
-        """The bytes of a string."""
-        return self.take(*self.numbers("I"))
+        return int(seconds * SECOND_NS + nanoseconds)
 
     def text(self) -> str:
         """A string."""
+        raw = self.take(*self.numbers("I"))
         try:
-            return bytes(self.skip_text()).rstrip(b"\0").decode()
+            return raw.rstrip(b"\0").decode()
         except UnicodeDecodeError:
             raise WireError(
                 f"{self._what}: a string before byte {self.at}: expected UTF-8"

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_io.wire.cdr import (
     LITTLE_ENDIAN_HEADER,
+    TIME,
     Floats,
     Reader,
     Stamped,
     WireError,
     byte_order,
+    cut,
     encode_string,
     float_bytes,
     header_bytes,
@@ -51,11 +53,10 @@ _DIAGNOSTICS = "diagnostic_msgs/DiagnosticArray"
 _NEAR = "sensor_msgs/PointCloud2"
 
 _LITTLE = LITTLE_ENDIAN_HEADER[:2]
-_STAMP = struct.Struct("<iI")
 _START = {order: struct.Struct(f"{order}iII") for order in "<>"}  # stamp, length of frame_id
 _LENGTH = {order: struct.Struct(f"{order}I") for order in "<>"}
 _FLOAT64 = {order: np.dtype(f"{order}f8") for order in "<>"}
-_FLOAT = np.dtype(np.float64)
+_FLOAT, _FLOAT32 = np.dtype(np.float64), np.dtype("<f4")
 _FRAME_AT = 12  # after the encapsulation header and the stamp
 
 # Bytes of the parts of a twist or wrench, and of an Odometry behind its frames
@@ -133,21 +134,23 @@ def decode_wrench(buf: bytes) -> Stamped:
 
 def decode_header(buf: bytes) -> HeaderFields:
     """Stamp [ns] and frame_id of a std_msgs/Header, or of a message that starts with one."""
-    reader = Reader(buf, _HEADER)
-    return HeaderFields(reader.stamp(), reader.text())
+    stamp_ns, reader = peek_stamp(buf, _HEADER), Reader(buf, _HEADER, _FRAME_AT)
+    return HeaderFields(stamp_ns, reader.text())
 
 
 def decode_clock(buf: bytes) -> int:
     """The time [ns] of a rosgraph_msgs/Clock."""
-    return Reader(buf, _CLOCK).stamp()
+    return peek_stamp(buf, _CLOCK)
 
 
-def peek_stamp(buf: bytes) -> int:
-    """The stamp [ns] of any message that starts with a std_msgs/Header (or is a Clock)."""
-    if buf[:2] == _LITTLE and len(buf) >= _FRAME_AT:  # a quarter of the time of a Reader
-        seconds, nanoseconds = _STAMP.unpack_from(buf, 4)
-        return int(seconds * SECOND_NS + nanoseconds)
-    return Reader(buf, "stamped message").stamp()
+def peek_stamp(buf: bytes, what: str = "stamped message", at: int = 4) -> int:
+    """The stamp [ns] of any message that starts with a std_msgs/Header (or is a Clock), or that is `at` this byte."""
+    order = "<" if buf[:2] == _LITTLE else byte_order(buf, what)
+    try:
+        seconds, nanoseconds = TIME[order].unpack_from(buf, at)
+    except struct.error:
+        raise cut(buf, what, at + 8) from None
+    return int(seconds * SECOND_NS + nanoseconds)
 
 
 def peek_sequence_stamp(buf: bytes) -> int | None:
@@ -155,8 +158,11 @@ def peek_sequence_stamp(buf: bytes) -> int | None:
 
     None when the list is empty.
     """
-    reader = Reader(buf, "list of stamped messages")
-    return reader.stamp() if reader.numbers("I") != (0,) else None
+    what = "list of stamped messages"
+    if buf[4:8] == bytes(4):
+        byte_order(buf, what)  # refuses what is none
+        return None
+    return peek_stamp(buf, what, 8)
 
 
 def _after_frames(buf: bytes, what: str, frames: int, size: int) -> tuple[str, int, int]:
@@ -175,15 +181,19 @@ def _after_frames(buf: bytes, what: str, frames: int, size: int) -> tuple[str, i
     except struct.error:
         at = len(buf) + 1
     if at + size > len(buf):
-        raise WireError(
-            f"{what}: {len(buf)} bytes: expected at least {at + size}, the message is cut"
-        )
+        raise cut(buf, what, at + size)
     return order, seconds * SECOND_NS + nanoseconds, at
+
+
+def _floats(raw: bytearray, order: str) -> Floats:
+    """Numbers of our own byte order in these bytes: to copy them as bytes is the cheapest way."""
+    values = np.frombuffer(raw, _FLOAT64[order])
+    return values if order == "<" else values.astype(_FLOAT)
 
 
 def _decode_vector_pair(buf: bytes, what: str) -> Stamped:
     order, stamp_ns, at = _after_frames(buf, what, 1, _VECTOR_PAIR)
-    return Stamped(stamp_ns, np.frombuffer(buf, _FLOAT64[order], 6, at).astype(_FLOAT))
+    return Stamped(stamp_ns, _floats(bytearray(buf[at : at + _VECTOR_PAIR]), order))
 
 
 # nav_msgs/Odometry as a flat vector of 13, the state message of the formation:
@@ -226,8 +236,9 @@ def decode_odometry(buf: bytes) -> Stamped:
     order, stamp_ns, at = _after_frames(buf, _ODOMETRY, 2, _NUMBERS)
     twist_at = at + _TWIST_AT
     # Joined as bytes first: one array from 104 bytes is faster than two filled slices.
-    raw = buf[at : at + _POSE] + buf[twist_at : twist_at + _VECTOR_PAIR]
-    return Stamped(stamp_ns, np.frombuffer(raw, _FLOAT64[order]).astype(_FLOAT))
+    raw = bytearray(buf[at : at + _POSE])
+    raw += buf[twist_at : twist_at + _VECTOR_PAIR]
+    return Stamped(stamp_ns, _floats(raw, order))
 
 
 # std_msgs/Int64MultiArray and Float64MultiArray: rows of numbers whose layout names each of them.
@@ -278,8 +289,8 @@ def _decode_row(buf: bytes, kind: str) -> Row:
         raise WireError(f"{_ROW}: {dimensions} dimensions: expected 1")
     label = reader.text()
     *_, count = reader.numbers("IIII")  # size, stride, offset, length
-    values = np.frombuffer(reader.take(8 * count, 8), f"{reader.order}{kind}")
-    return Row(label, values.astype(values.dtype.newbyteorder("=")))
+    values = np.frombuffer(reader.take(8 * count, 8), reader.order + kind)
+    return Row(label, values.astype(kind))
 
 
 def transform_of(odometry: bytes) -> bytes | None:
@@ -393,10 +404,12 @@ def checked_velocity(buf: bytes) -> Stamped:
 
 def _checked_pair(buf: bytes, what: str, limits: tuple[tuple[str, float], ...]) -> Stamped:
     message = _decode_vector_pair(buf, what)
-    numbers = message.values.tolist()
-    for vector, (quantity, limit) in zip((numbers[:3], numbers[3:]), limits, strict=True):
-        if not hypot(*vector) < limit:
-            raise _refuse(what, quantity, vector, limit)
+    x, y, z, p, q, r = message.values.tolist()
+    (linear, most_linear), (angular, most_angular) = limits
+    if not hypot(x, y, z) < most_linear:
+        raise _refuse(what, linear, (x, y, z), most_linear)
+    if not hypot(p, q, r) < most_angular:
+        raise _refuse(what, angular, (p, q, r), most_angular)
     return message
 
 
@@ -471,7 +484,7 @@ def decode_near(buf: bytes) -> Stamped:
     """
     reader = Reader(buf, _NEAR)
     stamp_ns = reader.stamp()
-    reader.skip_text()
+    reader.take(*reader.numbers("I"))  # frame_id
     height, width = reader.numbers("II")
     if reader.order == "<" and buf.startswith(_OUR_TABLE, reader.at):
         reader.at += len(_OUR_TABLE)  # at a tenth of the cost of reading it
@@ -485,8 +498,8 @@ def decode_near(buf: bytes) -> Stamped:
         (point_step,) = reader.numbers("I")
         kind = _point_type(tuple(fields), ">" if big_endian else "<", point_step)
     row_step, size = reader.numbers("II")
-    data = reader.take(size)
-    reader.take(1)  # is_dense
+    data_at = reader.at
+    reader.take(size + 1)  # data and is_dense
     if height * width:
         if row_step < width * kind.itemsize:
             raise WireError(
@@ -497,12 +510,14 @@ def decode_near(buf: bytes) -> Stamped:
             raise WireError(
                 f"{_NEAR}: {size} bytes of data: expected {needed} for {height}x{width}"
             )
-    points = np.ndarray((height, width), kind, data, 0, (row_step, kind.itemsize)).reshape(-1)
-    rows = np.zeros((len(points), len(NEAR_FIELDS)))
     with np.errstate(invalid="ignore"):  # of a signalling NaN, which is left out like any other
-        if kind is _OUR_TYPE:  # at a third of the cost of its columns
-            rows[:] = points.view("<f4").reshape(rows.shape)
+        if kind is _OUR_TYPE and height == 1:  # at a third of the cost of its columns
+            numbers = np.frombuffer(buf, _FLOAT32, width * len(NEAR_FIELDS), data_at)
+            rows = numbers.reshape(width, len(NEAR_FIELDS)).astype(_FLOAT)
         else:
+            shape, steps = (height, width), (row_step, kind.itemsize)
+            points = np.ndarray(shape, kind, buf, data_at, steps).reshape(-1)
+            rows = np.zeros((len(points), len(NEAR_FIELDS)))
             for name in kind.names or ():
                 rows[:, NEAR_FIELDS.index(name)] = points[name]
     finite = np.isfinite(rows)
