@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -17,68 +17,70 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.environment import one_thread
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
 from ptnsbc_tools import console
-from ptnsbc_tools.options import flat
+from ptnsbc_tools.options import flat, group
 
 _REFUSED, _INTERRUPTED = 2, 130
 _REPLACED = {"--out": "--output", "--jobs": "--workers", "--key": "--signing-key"}
 """Options of earlier versions, and those of today."""
-_STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
+_STARTS_PROCESSES = ("fleet", "demo", "network", "view", "tune")
+# All words after `reproduce` are of paper/, --help too.
+_FOREIGN = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
 PANELS = {
-    "Begin": "check:new check:scenarios check:doctor check:check",
-    "Fly": "simulate:simulate sweep:sweep fleet:fleet flying_fleet:view fleet:demo flying_fleet:inject stop:stop "
-    "flying_fleet:mission",
-    "Look at flights": "look:verify sweep:compare look:report look:plot look:export look:reproduce",
-    "Bags": "bags:record bags:replay bags:bag",
-    "Processes, vehicles, networks": "vehicles:autopilot vehicles:bridge vehicles:tune processes:params processes:key "
-    "processes:node processes:network security:security",
+    "Begin": "check:new check:check check:scenarios check:doctor",
+    "Fly": "simulate:simulate sweep:sweep fleet:fleet fleet:demo",
+    "A flying fleet": "flying_fleet:view flying_fleet:mission flying_fleet:inject stop:stop",
+    "Look at flights": "look:report look:verify sweep:compare look:plot look:export bags:bag look:reproduce",
+    "Vehicles and networks": "vehicles:bridge vehicles:tune vehicles:autopilot network:network",
 }
-"""The panels of the help: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
+"""The panels of `help all`: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
+
+_DAILY = {
+    "The commands of a day": (
+        "new",
+        "check",
+        "simulate",
+        "sweep",
+        "fleet",
+        "view",
+        "report",
+        "stop",
+    )
+}
+_MOVED = {
+    **{name: f"bag {name}" for name in ("record", "replay")},
+    **{name: f"network {name}" for name in ("params", "key", "node")},
+    "security": "network",
+}
+"""Names of the last version, which this one still takes, and those of today."""
 
 _PLACES = {
-    place.rpartition(":")[2]: (panel, place)
-    for panel, places in PANELS.items()
-    for place in places.split()
-}
-_SETTINGS: dict[str, dict[str, Any]] = {
-    # All words after the name of a process are its own, --help too.
-    "node": {
-        "ignore_unknown_options": True,
-        "allow_extra_args": True,
-        "allow_interspersed_args": False,
-    },
-    "reproduce": {
-        "ignore_unknown_options": True,
-        "allow_extra_args": True,
-        "help_option_names": [],
-    },
+    place.rpartition(":")[2]: place for places in PANELS.values() for place in places.split()
 }
 
 
 def _load(name: str) -> Any:
     """The function of a command, or the Typer of a group of commands."""
-    module, _, attribute = _PLACES[name][1].partition(":")
+    module, _, attribute = _PLACES[name].partition(":")
     return getattr(import_module(f"ptnsbc_tools.commands.{module}"), attribute)
 
 
-def _help(loaded: Any) -> str:
-    """The help of a group, or the docstring of a function, each paragraph in one line: the terminal wraps it."""
-    text = loaded.info.help if isinstance(loaded, typer.Typer) else loaded.__doc__
-    paragraphs = inspect.cleandoc(text or "").split("\n\n")
+def _help(function: Callable[..., Any]) -> str:
+    """The docstring of a command, each paragraph in one line: the terminal wraps it."""
+    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
-def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Every command, those of groups by both names, and its function with all its options."""
-    for name in _PLACES:
+def functions(names: Iterable[str] = _PLACES) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """These commands, those of groups by both names, and the function of each with all its options."""
+    for name in names:
         loaded = _load(name)
         if not isinstance(loaded, typer.Typer):
             yield name, flat(loaded)
             continue
         for inner in loaded.registered_commands:
             if inner.callback is not None and not inner.hidden:
-                own = inner.name or inner.callback.__name__
-                yield f"{name} {own}", inner.callback
+                yield f"{name} {inner.name or inner.callback.__name__}", inner.callback
 
 
 def every_command() -> Any:
@@ -99,22 +101,37 @@ class _Commands(TyperGroup):
         if cmd_name not in self.commands and cmd_name in _PLACES:
             loaded = _load(cmd_name)
             if not isinstance(loaded, typer.Typer):
-                settings, function = _SETTINGS.get(cmd_name), loaded
-                loaded = typer.Typer(add_completion=False, rich_markup_mode=None)
-                loaded.command(help=_help(function), context_settings=settings)(flat(function))
+                foreign = _FOREIGN if cmd_name == "reproduce" else None
+                function, loaded = loaded, group("")
+                loaded.command(help=_help(function), context_settings=foreign)(flat(function))
             self.commands[cmd_name] = command = get_command(loaded)
             command.name = cmd_name
         return super().get_command(ctx, cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        for panel, places in PANELS.items():
-            names = [place.rpartition(":")[2] for place in places.split()]
+        every = {
+            panel: [place.rpartition(":")[2] for place in places.split()]
+            for panel, places in PANELS.items()
+        }
+        for panel, names in (every if ctx.obj == "all" else _DAILY).items():
+            rows = [(path, _help(of).partition("\n")[0]) for path, of in functions(names)]
             with formatter.section(panel):
-                formatter.write_dl(
-                    [(name, _help(_load(name)).partition("\n")[0]) for name in names]
-                )
+                formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] == "help" and not ctx.resilient_parsing:
+            ctx.obj = " ".join(args[1:])
+            if ctx.obj in ("", "all"):
+                print(ctx.get_help())
+                ctx.exit()
+            args = [*args[1:], "--help"]
+        if args[0] in _MOVED:
+            today = _MOVED[args[0]]
+            if not ctx.resilient_parsing:
+                console.say(
+                    f"ptnsbc {args[0]} is now ptnsbc {today}; the next version takes only that"
+                )
+            args = [*today.split(), *args[1:]]
         if args[0] not in _PLACES:  # Typer suggests the nearest of those that are loaded
             for name in _PLACES:
                 self.get_command(ctx, name)
@@ -166,7 +183,8 @@ app = typer.Typer(
         "default_map": {"install_completion": False, "show_completion": False, "help": False},
     },
     help="Predefined-time formations of UAVs: check, fly, record and judge.",
-    epilog="Exit codes: 0 deadlines met, 1 a deadline not met, 2 refused, 130 interrupted.",
+    epilog="Begin with `ptnsbc demo`. Every command: `ptnsbc help all`.\n\n"
+    "Exit codes: 0 deadlines met, 1 not met, 2 refused, 130 interrupted.",
 )
 
 

@@ -220,7 +220,7 @@ def test_a_parameter_file_arrives(kind, evaluate, flown, tmp_path):
     scenario, _ = flown(one.cmd[1:])
     assert scenario.seed == 9
     assert scenario.gains.formation.kappa_1_s == 3
-    # As `ptnsbc params` writes it, the file is a whole scenario; another one is refused.
+    # As `ptnsbc network params` writes it, the file is a whole scenario; another one is refused.
     file.write_text(parameter_file(load_scenario("paper_5", {"seed": 8})))
     scenario, _ = flown(["fleet", "paper_5", "--params-file", str(file)])
     assert scenario == load_scenario("paper_5", {"seed": 8})

@@ -174,7 +174,7 @@ def test_the_command_line_is_the_wheels():
 
 def test_launch_files_and_ptnsbc_node_know_every_program():
     from ptnsbc_nodes.fleet.child_process import EXECUTABLES
-    from ptnsbc_tools.commands.processes import node
+    from ptnsbc_tools.commands.network import node
 
     nodes = SHELL.PROGRAMS["ptnsbc_nodes"]
     assert {name: f"{module}:main" for module, name in EXECUTABLES.items()} == nodes

@@ -119,7 +119,9 @@ def required_seal() -> Seal:
     """The seal of the fleet; SealError when there is no key."""
     path = key_file()
     if not path.exists():
-        raise SealError(f"security: signed: {path}: expected the key of the fleet: ptnsbc key")
+        raise SealError(
+            f"security: signed: {path}: expected the key of the fleet: ptnsbc network key"
+        )
     return Seal(read_key(path))
 
 

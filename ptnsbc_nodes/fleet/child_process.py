@@ -85,7 +85,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
     "ptnsbc_nodes.view.operator_main": "operator",
 }
-"""The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files."""
+"""The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc network node` and launch files."""
 
 
 class ProcessListError(PtnsbcError):

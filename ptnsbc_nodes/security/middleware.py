@@ -42,7 +42,7 @@ def enforced(environment: Mapping[str, str]) -> dict[str, str]:
     if not (Path(keystore) / "enclaves" / "governance.p7s").is_file() or not keystore:
         raise DdsSecurityError(
             f"security: required: {KEYSTORE}={keystore or '(unset)'}: expected the folder of a keystore, "
-            "made by `ros2 security generate_artifacts` of what `ptnsbc security policy` prints"
+            "made by `ros2 security generate_artifacts` of what `ptnsbc network policy` prints"
         )
     if lacks_security():
         raise DdsSecurityError(

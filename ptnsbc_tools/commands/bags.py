@@ -1,4 +1,4 @@
-"""Commands on bags: `ptnsbc bag` shows, repairs and trims them, `ptnsbc record` writes, `ptnsbc replay` plays."""
+"""`ptnsbc bag`: record, replay, show, repair and trim bags."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ import typer
 
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import FASTEST_HZ, LARGEST_MB, LONGEST_S
-from ptnsbc_tools.options import BagArgument, JsonOption, OverwriteOption, argument, group, option
+from ptnsbc_tools.options import (
+    BagArgument,
+    JsonOption,
+    OverwriteOption,
+    argument,
+    flat,
+    group,
+    option,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,7 +32,7 @@ if TYPE_CHECKING:
 _INTERRUPTED = 130
 _MEGABYTE = 1_000_000
 
-bag = group("Show, repair or trim bags.")
+bag = group("Record, replay, show, repair or trim bags.")
 
 
 @bag.command()
@@ -165,6 +173,7 @@ def merge() -> None:
     )
 
 
+@bag.command()
 def record(
     output: Annotated[
         Path | None, option("--output -o DIR", "Folder of the bag. Default: bag-<time>.")
@@ -252,6 +261,8 @@ class Playing:
     ] = 1.0
 
 
+@bag.command()
+@flat
 def replay(
     bag: BagArgument,
     playing: Playing,

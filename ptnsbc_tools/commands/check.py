@@ -40,9 +40,10 @@ def check(
     runs: Annotated[int, option("--runs -n N", "Perturbed dry runs.", 1, MOST_RUNS)] = _RUNS,
     json: JsonOption = False,
 ) -> None:
-    """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles, dry runs.
+    """Check a scenario before anything arms, and fly it in dry runs.
 
-    The dry runs fly the scenario in this process: once as it stands, then with starts moved at random.
+    Closed forms look at graph, shape, spacing, gains, deadline and obstacles. The dry runs fly the scenario in this
+    process: once as it stands, then with starts moved at random.
     The scenario is refused when the first of them is not met, or fewer than half of all; with noise, gusts, faults
     or lossy links, fewer than 95 % of all.
     """
@@ -107,7 +108,7 @@ def new(
     spacing: Annotated[float, option("--spacing M", "Distance of neighbours.", 1.0)] = 2.0,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
 ) -> None:
-    """Write a commented scenario of so many UAVs, ready to check and fly."""
+    """Write a commented scenario, ready to check and fly."""
     from ptnsbc_tools.library import new_scenario
 
     path = new_scenario.new(file, shape, n, spacing, overwrite=overwrite)

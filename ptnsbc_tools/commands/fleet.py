@@ -124,7 +124,7 @@ def fleet(
         Path | None,
         option(
             "--params-file FILE",
-            "Values from a ROS parameter file, as `ptnsbc params` and `ros2 param dump` write one; other options win.",
+            "Values from a ROS parameter file, as of `ptnsbc network params` and `ros2 param dump`; other options win.",
         ),
     ] = None,
     check: Annotated[
@@ -137,7 +137,7 @@ def fleet(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
+    """Fly a scenario with one ROS 2 process per UAV, and judge it.
 
     The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
     host without --network.

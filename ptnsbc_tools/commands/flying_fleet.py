@@ -277,10 +277,10 @@ def view(
     frames: Annotated[bool, option("--frames", "", hidden=True)] = False,
     page: Annotated[bool, option("--page/--no-page", "", hidden=True)] = True,
 ) -> None:
-    """Show a flying fleet live: prints the address of a page, and a table in the terminal.
+    """Show a flying fleet live, on a page and in the terminal.
 
-    The page is on this host alone and wants the token of its address. Ctrl-C ends the view; the
-    fleet flies on.
+    The page, whose address is printed, is on this host alone and wants the token of its address. Ctrl-C ends
+    the view; the fleet flies on.
     """
     number = _watched_domain(domain)
     if healthy:

@@ -62,8 +62,9 @@ def report(
     ] = True,
     json: JsonOption = False,
 ) -> None:
-    """Show a recorded flight: one page that works offline, with playback and figures.
+    """Show a recorded flight: a page with playback and figures.
 
+    The page works without a network.
     Exit code 0: the page shows a verdict, whatever it is. 1: the flight cannot be judged; the page
     says why and shows what is recorded. 2: the bag cannot be read; nothing is written.
     """

@@ -37,7 +37,7 @@ def simulate(
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
+    """Fly a scenario in this process, without ROS, and judge it."""
     from ptnsbc_sim.track import refuse_without_memory
     from ptnsbc_tools.library.flying import fly
     from ptnsbc_tools.plotting.draw import format_of

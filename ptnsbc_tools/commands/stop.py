@@ -52,10 +52,10 @@ def stop(
     domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",
 ) -> None:
-    """Land every vehicle of a flying fleet, or stop its motors; repeats until every bridge has answered.
+    """Land every vehicle of a flying fleet, or stop its motors.
 
-    The order holds: a bridge that starts again obeys it too, until a new `ptnsbc fleet` or --clear
-    releases it. Prints what every vehicle does.
+    Repeats until every bridge has answered. The order holds: a bridge that starts again obeys it too, until a
+    new `ptnsbc fleet` or --clear releases it. Prints what every vehicle does.
     """
     number = ros.domain_number(domain)
     folder = runtime_folder(number, namespace)

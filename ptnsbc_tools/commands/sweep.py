@@ -148,7 +148,7 @@ def sweep(
         ),
     ] = False,
 ) -> None:
-    """Fly many draws of a scenario: the share that meets the deadline, with its interval.
+    """Fly a scenario many times: the share that meets its deadline.
 
     A sweep that was ended early goes on where it ended: give the same command again. Exit code 0: all
     draws were flown, whatever their verdicts are. 1: some draws could not be flown; they are named.

@@ -1,4 +1,4 @@
-"""Bags: the functions behind `ptnsbc bag trim` and `repair`, and `ptnsbc replay --rerun`."""
+"""Bags: the functions behind `ptnsbc bag trim` and `repair`, and `ptnsbc bag replay --rerun`."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def rerun(
     plugins: Sequence[str] = (),
     progress: bool | None = None,
 ) -> Rerun:
-    """Run the recorded inputs of a flight through the controllers again, as `ptnsbc replay --rerun`.
+    """Run the recorded inputs of a flight through the controllers again, as `ptnsbc bag replay --rerun`.
 
     Args:
         bag: folder of a bag of ours, or its .mcap file.

@@ -1,1 +1,1 @@
-"""`ptnsbc replay`: a bag through the controllers again, or back onto its topics."""
+"""`ptnsbc bag replay`: a bag through the controllers again, or back onto its topics."""

@@ -63,12 +63,12 @@ def test_ptnsbc(mentioned):
         command, rest = COMMANDS, list(words)
         while rest and rest[0] in getattr(command, "commands", {}):
             command = command.commands[rest.pop(0)]
-        if command is COMMANDS and rest and re.fullmatch(r"[a-z]\w*", rest[0]):
+        if command is COMMANDS and rest and re.fullmatch(r"(?!help)[a-z]\w*", rest[0]):
             wrong.append((page, words, "no such command"))
         options = known.setdefault(id(command), _options(command))
         if command is COMMANDS.commands["reproduce"]:
             options = options | _options(typer.main.get_command(paper_app))
-        if command is COMMANDS.commands["node"] and rest and rest[0] != "NAME":
+        if command is COMMANDS.commands["network"].commands["node"] and rest and rest[0] != "NAME":
             options = options | _options_of_a_process(rest[0])
         given = set(re.findall(r"(?:^|[\s|])(--[a-z][\w-]*)", " ".join(rest)))
         if not given <= options:

@@ -52,13 +52,45 @@ def write(recording: Recording, directory: Path) -> Path:
     return directory
 
 
-def test_help_and_version() -> None:
+def test_help_is_one_screen_of_the_commands_of_a_day() -> None:
     code, out, _ = run("--help")
-    assert code == 0
-    for command in ("check", "simulate", "verify", "fleet", "demo", "reproduce"):
-        assert command in out
-        assert run(command, "--help")[0] == 0
+    assert code == 0 and run("help")[1] == out
+    assert len(out.splitlines()) <= 24 and max(map(len, out.splitlines())) <= 80
+    rows = re.findall(r"(?m)^  ([a-z]+)  +[A-Z]", out.partition("a day:")[2])
+    assert rows == ["new", "check", "simulate", "sweep", "fleet", "view", "report", "stop"]
+    assert "ptnsbc help all" in out
     assert run("--version")[1].startswith("ptnsbc ")
+
+
+def test_help_all_has_every_command_in_its_panel() -> None:
+    out = run("help", "all")[1]
+    rows = re.findall(r"(?m)^  ([a-z]+(?: [a-z]+)?)  +[A-Z]", out.partition("Begin:")[2])
+    assert sorted(rows) == sorted(name for name, _ in functions())
+    places = [out.index(word) for word in ("Begin", "Fly", "Look at flights", "Vehicles and")]
+    assert places == sorted(places)
+
+
+def test_help_of_a_command() -> None:
+    assert run("help", "bag", "trim") == run("bag", "trim", "--help")
+    assert run("help", "dance")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("record", "bag record"),
+        ("replay", "bag replay"),
+        ("params", "network params"),
+        ("key", "network key"),
+        ("node", "network node"),
+        ("security policy", "network policy"),
+    ],
+)
+def test_an_old_name_goes_on_working_with_a_word(old: str, new: str) -> None:
+    code, out, err = run(*old.split(), "--help")
+    assert (code, out) == run(*new.split(), "--help")[:2]
+    assert err.startswith(f"ptnsbc {old.split()[0]} is now ptnsbc {new.split()[0]}")
+    assert f"  {old}  " not in run("help", "all")[1]
 
 
 @pytest.mark.parametrize("name", [name for name, _ in functions() if name != "reproduce"])
@@ -80,16 +112,11 @@ def test_paragraphs_are_wrapped_by_the_terminal() -> None:
     assert "when the largest error after the deadline has grown in the median" in done.stdout
 
 
-def test_the_commands_are_in_panels() -> None:
-    out = run("-h")[1]
-    places = [out.index(word) for word in ("Begin", "Fly", "Look at flights", "Bags", "Processes")]
-    assert places == sorted(places)
-
-
-def test_help_loads_neither_the_laws_nor_what_parses_options() -> None:
+@pytest.mark.parametrize("words", [["check", "--help"], ["--help"], ["help", "all"]])
+def test_help_loads_neither_the_laws_nor_what_parses_options(words: list[str]) -> None:
     code = (
         "import sys\nfrom ptnsbc_tools.cli import app\n"
-        "try:\n    app(['check', '--help'], prog_name='ptnsbc')\nexcept SystemExit:\n    pass\n"
+        f"try:\n    app({words}, prog_name='ptnsbc')\nexcept SystemExit:\n    pass\n"
         "heavy = {'numba', 'numpy', 'pydantic', 'rich', 'scipy', 'matplotlib', 'rclpy'} & set(sys.modules)\n"
         "print(sorted(heavy), file=sys.stderr)"
     )

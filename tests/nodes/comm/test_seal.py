@@ -121,7 +121,7 @@ def test_a_new_key_is_for_its_owner_and_is_never_overwritten(tmp_path, monkeypat
     monkeypatch.setenv(KEY_FILE, str(path))
     assert key_file() == path
     assert operators_seal() is None
-    with pytest.raises(SealError, match="expected the key of the fleet: ptnsbc key"):
+    with pytest.raises(SealError, match="expected the key of the fleet: ptnsbc network key"):
         required_seal()
     new_key(path)
     assert stat.S_IMODE(os.stat(path).st_mode) == 0o600

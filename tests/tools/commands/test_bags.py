@@ -83,9 +83,9 @@ def contents(path: Path, *left_out: str) -> dict[str, list[bytes]]:
 
 @pytest.mark.slow
 def test_played_and_recorded_again(start, headless, tmp_path):
-    recorder = start("record", "-o", tmp_path / "again", "--scenario", "paper_5", "--json")
+    recorder = start("bag", "record", "-o", tmp_path / "again", "--scenario", "paper_5", "--json")
     await_line(recorder, "ready")
-    played = start("replay", headless, "--publish", "--wait", 60, "--rate", 0.5, "--json")
+    played = start("bag", "replay", headless, "--publish", "--wait", 60, "--rate", 0.5, "--json")
     out, err = played.communicate(timeout=120)
     assert played.returncode == 0, err
     recorder.send_signal(signal.SIGINT)
@@ -105,18 +105,18 @@ def test_played_and_recorded_again(start, headless, tmp_path):
     # And what was heard can be run again: it is the same flight.
     scenario = tmp_path / "scenario.yaml"
     scenario.write_bytes(old.attachment("scenario.yaml"))
-    again = start("replay", tmp_path / "again", "--rerun", "--scenario", scenario)
+    again = start("bag", "replay", tmp_path / "again", "--rerun", "--scenario", scenario)
     assert again.wait(120) == 0, again.stdout.read()
 
 
 @pytest.mark.slow
 def test_split_recording_of_some_topics(start, headless, tmp_path):
     recorder = start(
-        "record", "-o", tmp_path / "part", "--topics", "/uav1/*", "--topics", "/clock",
+        "bag", "record", "-o", tmp_path / "part", "--topics", "/uav1/*", "--topics", "/clock",
         "--split-duration", 0.4,
     )  # fmt: skip
     await_line(recorder, "ready")
-    played = start("replay", headless, "--publish", "--wait", 60, "--topics", "/uav1/setpoint/*",
+    played = start("bag", "replay", headless, "--publish", "--wait", 60, "--topics", "/uav1/setpoint/*",
                    "--clock", 100, "--start", 0.5)  # fmt: skip
     assert played.wait(120) == 0, played.stderr.read()
     recorder.send_signal(signal.SIGTERM)
@@ -137,8 +137,8 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
-    recorder = start("record", "-o", headless.parent / "none", "--topics", "/nothing/*")
-    played = start("replay", headless, "--publish", "--loop", "--wait", 0, "--json")
+    recorder = start("bag", "record", "-o", headless.parent / "none", "--topics", "/nothing/*")
+    played = start("bag", "replay", headless, "--publish", "--loop", "--wait", 0, "--json")
     await_line(recorder, "ready")
     end = time.monotonic() + 60.0
     with observer(domain) as node:

@@ -121,8 +121,8 @@ BAD = {
 }
 COMMANDS = (
     ("verify",),
-    ("replay", "--rerun"),
-    ("replay", "--publish"),
+    ("bag", "replay", "--rerun"),
+    ("bag", "replay", "--publish"),
     ("bag", "info"),
     ("bag", "repair"),
     ("plot",),

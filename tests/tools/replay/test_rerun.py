@@ -313,16 +313,16 @@ def run(*words: object) -> tuple[int, str, str]:
 
 @pytest.mark.slow
 def test_command(headless, rewritten):
-    code, out, err = run("replay", headless, "--rerun", "--json")
+    code, out, err = run("bag", "replay", headless, "--rerun", "--json")
     assert code == 0, err
     told = json.loads(out)
     assert told["verdict"] == "equal"
     assert told["first_difference"] is None
     assert [one["uav"] for one in told["uavs"]] == [1, 2, 3, 4, 5]
-    code, out, err = run("replay", rewritten(headless, flip("/uav2/odom", 0)), "--rerun")
+    code, out, err = run("bag", "replay", rewritten(headless, flip("/uav2/odom", 0)), "--rerun")
     assert code == 1, err
     assert "different: tick 0 (t = 0.000 s), uav2, formation_state" in out
-    code, out, err = run("replay", headless / "none", "--rerun")
+    code, out, err = run("bag", "replay", headless / "none", "--rerun")
     assert (code, out) == (2, "")
     assert len(err.splitlines()) == 1
 
@@ -337,7 +337,7 @@ def test_a_fleet_in_real_time(tmp_path):
     """
     words = ("fleet", "paper_5", "--real-time", "--duration", "2", "--bag", tmp_path / "bag")
     _, _, err = run(*words, "--namespace", "blue", "--json")
-    code, out, err = run("replay", tmp_path / "bag", "--rerun", "--json")
+    code, out, err = run("bag", "replay", tmp_path / "bag", "--rerun", "--json")
     told = json.loads(out)
     assert told["mode"] == "real time"
     assert told["first_difference"] is None

@@ -35,7 +35,7 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def _rerun(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["replay", *map(str, words), "--rerun"])
+    result = CliRunner().invoke(app, ["bag", "replay", *map(str, words), "--rerun"])
     return result.exit_code, result.stdout, result.stderr
 
 

@@ -7,7 +7,7 @@ Both nodes activate themselves, and the formation starts when the leader is told
 
     ros2 service call /formation/start std_srvs/srv/Trigger
 
-The parameter file is made by `ptnsbc params`; the same file serves on every computer of the fleet.
+The parameter file is made by `ptnsbc network params`; the same file serves on every computer of the fleet.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Commands for single processes, keys and networks: `ptnsbc node`, `params`, `key` and `network`."""
+"""`ptnsbc network`: a fleet on several computers: discovery, parameters, key, policy, single processes."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import typer
 from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import (
+    NamespaceOption,
     ScenarioArgument,
     SetOption,
     argument,
@@ -27,10 +28,18 @@ _OutputOption = Annotated[
     Path | None, option("--output -o FILE", "Write into this file and not to stdout.")
 ]
 network = group(
-    "Network profiles for a fleet on several computers, for --network or PTNSBC_NETWORK."
+    "A fleet on several computers: profiles for --network, parameters, key, policy, processes."
 )
 
 
+@network.command(
+    # All words after the name of a process are its own, --help too.
+    context_settings={
+        "ignore_unknown_options": True,
+        "allow_extra_args": True,
+        "allow_interspersed_args": False,
+    }
+)
 def node(
     context: typer.Context,
     name: Annotated[
@@ -40,7 +49,7 @@ def node(
 ) -> None:
     """Run one process of a flight, for debugging or for a launcher of your own.
 
-    `ptnsbc node uav --help` lists its options. `ros2 run ptnsbc_nodes uav` is the same.
+    `ptnsbc network node uav --help` lists its options. `ros2 run ptnsbc_nodes uav` is the same.
     """
     from ptnsbc_nodes.fleet.child_process import EXECUTABLES
 
@@ -50,6 +59,7 @@ def node(
     raise typer.Exit(module.main(context.args))
 
 
+@network.command()
 def params(
     scenario: ScenarioArgument, out: _OutputOption = None, settings: SetOption = None
 ) -> None:
@@ -62,6 +72,7 @@ def params(
     _write(parameter_file(scenario_with(scenario, set_keys(settings))), out)
 
 
+@network.command()
 def key(
     file: Annotated[
         Path | None,
@@ -77,6 +88,29 @@ def key(
     path = file or key_file()
     new_key(path)
     console.say(f"key: {path}")
+
+
+@network.command()
+def policy(
+    scenario: ScenarioArgument,
+    backend: Annotated[
+        Literal["sim", "mavlink"], option("--backend", "What flies the vehicles.")
+    ] = "sim",
+    namespace: NamespaceOption = "",
+    settings: SetOption = None,
+) -> None:
+    """Print a policy of sros2: each process may use the edges of the scenario, and no more.
+
+    `ros2 security generate_artifacts -k KEYSTORE -p POLICY` makes a keystore of it, for the ROS domain of its
+    environment. `security: required` flies with it.
+    """
+    with ros.required():
+        from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+        from ptnsbc_nodes.security.policy import enclaves
+        from ptnsbc_nodes.security.policy import policy as policy_of
+    flown = scenario_with(scenario, set_keys(settings))
+    edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
+    typer.echo(policy_of(enclaves(flown, edges, backend), namespace), nl=False)
 
 
 _SERVER = "fast-discovery-server"
