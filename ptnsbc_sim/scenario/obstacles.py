@@ -39,6 +39,7 @@ from ptnsbc_sim.scenario.mission.trajectories import (
     trajectory_of,
     trajectory_problems,
 )
+from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 
 Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
 
@@ -98,33 +99,35 @@ class ObstacleBlock(Block):
     """*map* The boxes, at most 400: rows x, y, z, x, y, z of two corners [m]."""
 
 
-def obstacle_problems(block: ObstacleBlock) -> Iterator[str]:
-    """The problems of an obstacle, as `key: value: expectation` below it."""
+def obstacle_problems(block: ObstacleBlock) -> Problems:
+    """The problems of an obstacle."""
+    keys, kind = _KEYS[block.kind], block.kind
     for key in _OWN:
         given = key in block.model_fields_set and getattr(block, key) is not None
-        if given and key not in _KEYS[block.kind]:
-            yield f"{key}: not a key of kind {block.kind}: expected {', '.join(_KEYS[block.kind])}"
-    need = _NEEDED.get(block.kind)
-    if need and getattr(block, need[0]) is None:
-        yield f"{need[0]}: missing: expected {need[1]}"
+        yield from unless(
+            not given or key in keys, key, f"not a key of kind {kind}", ", ".join(keys)
+        )
+    if kind in _NEEDED:
+        needed, expected = _NEEDED[kind]
+        yield from unless(getattr(block, needed) is not None, needed, "missing", expected)
     either = (block.position_m is None) != (block.trajectory is None)
-    if block.kind not in ("ground", "map") and not either:
-        what = "missing" if block.position_m is None else "given beside trajectory"
-        yield f"position_m: {what}: expected either position_m or trajectory"
-    if block.kind == "sphere" and block.keep_out_m == 0.0:
-        yield "keep_out_m: 0: expected > 0"
-    if block.kind == "cylinder" and block.height_m is not None and block.height_m <= 0.0:
-        yield f"height_m: {block.height_m:g}: expected > 0"
-    if block.normal is not None and not 1e-6 < math.hypot(*block.normal) < 1e6:
-        yield "normal: expected a direction, of a length from 1e-6 to 1e6"
+    what = "missing" if block.position_m is None else "given beside trajectory"
+    placed = either or kind in ("ground", "map")
+    yield from unless(placed, "position_m", what, "either position_m or trajectory")
+    yield from unless(block.keep_out_m > 0.0 or kind != "sphere", "keep_out_m", "0", "> 0")
+    height_m = block.height_m
+    tall = kind != "cylinder" or height_m is None or height_m > 0.0
+    yield from unless(tall, "height_m", height_m, "> 0")
+    directed = block.normal is None or 1e-6 < math.hypot(*block.normal) < 1e6
+    yield from unless(directed, "normal", "", "a direction, of a length from 1e-6 to 1e6")
     if block.samples is not None:
         try:
             boxes_of(block.samples)
         except ValueError as error:
-            yield f"samples: {error}"
+            yield Problem("samples", str(error), "")
     if block.trajectory is not None:
         for problem in trajectory_problems(block.trajectory):
-            yield f"trajectory.{problem}"
+            yield problem.below("trajectory")
 
 
 def bodies(block: ObstacleBlock) -> Iterator[ObstacleBlock]:

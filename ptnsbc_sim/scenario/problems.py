@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
@@ -45,13 +45,33 @@ class Problem(NamedTuple):
     """A key of a scenario that does not fit."""
 
     key: str
-    value: str
-    expected: str
-    advice: str
+    value: str  # or what is wrong with it; empty where that takes too many words
+    expected: str  # empty where the value says it
+    advice: str = ""
 
     def __str__(self) -> str:
         """In one line, behind the name of the file."""
-        return f"{self.key}: {self.value}: expected {self.expected}; {self.advice}"
+        expected = self.expected and f"expected {self.expected}"
+        text = ": ".join(part for part in (self.key, self.value, expected) if part)
+        return f"{text}; {self.advice}" if self.advice else text
+
+    def below(self, where: str) -> Problem:
+        """The same with the whole key, which begins with `where`."""
+        return self._replace(key=f"{where}.{self.key}")
+
+
+Problems = Iterator[Problem]
+
+
+def unless(holds: object, key: str, value: object, expected: str) -> Problems:
+    """The problem of a key unless what is expected holds."""
+    if not holds:
+        yield Problem(key, f"{value:g}" if isinstance(value, float) else str(value), expected)
+
+
+def one_of(ids: Iterable[int], what: str = "ids under uavs") -> str:
+    """The expectation of one of these UAVs."""
+    return f"one of the {what}: {', '.join(map(str, sorted(ids))) or 'none'}"
 
 
 def similar(word: object, known: Iterable[object]) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg, SplitLeg, moves_shape
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory, takes_setpoints
 from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.problems import Problem, Problems
 
 Conflict = Callable[[ScenarioFile], str | None]
 
@@ -117,10 +118,9 @@ REQUIREMENTS = (
 """Every choice that excludes another one."""
 
 
-def requirement_problems(file: ScenarioFile) -> Iterator[str]:
-    """The needs that are not met, as `key: value: expectation`."""
+def requirement_problems(file: ScenarioFile) -> Problems:
+    """The needs that are not met."""
     for requirement in REQUIREMENTS:
         for need in requirement.needs if requirement.made(file) else ():
             if (value := need.conflict(file)) is not None:
-                value = value and f"{value}: "
-                yield f"{need.key}: {value}expected {need.expected} beside {requirement.choice}"
+                yield Problem(need.key, value, f"{need.expected} beside {requirement.choice}")

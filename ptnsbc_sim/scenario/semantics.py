@@ -33,7 +33,7 @@ from ptnsbc_sim.scenario.mission.shapes import Reshaping
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_problems
 from ptnsbc_sim.scenario.model import ScenarioFile, plant_of
 from ptnsbc_sim.scenario.obstacles import bodies, obstacle_problems
-from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.problems import Problem, Problems, ScenarioError, one_of, unless
 from ptnsbc_sim.scenario.requirements import requirement_problems
 
 STABILITY_LIMIT = 2.0
@@ -41,8 +41,6 @@ STABILITY_LIMIT = 2.0
 
 _WEIGHTS_SUM = 1e-6
 _LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
-
-Problems = Iterator[str]
 
 
 def _repeated(keys: Iterable[Hashable]) -> Iterator[tuple[int, int]]:
@@ -54,69 +52,62 @@ def _repeated(keys: Iterable[Hashable]) -> Iterator[tuple[int, int]]:
 
 
 def _members(file: ScenarioFile) -> Problems:
-    ids, links = set(file.uav_ids), file.communication
-    known = "expected one of the ids under uavs: " + ", ".join(map(str, sorted(ids)))
-    if file.leader.id not in ids:
-        yield f"leader.id: {file.leader.id}: no start under uavs; {known}"
-    for child in links.tree:
-        if child not in ids:
-            yield f"communication.tree.{child}: no UAV {child}, its start is missing; {known}"
-    named = {f"tree.{child}": parent for child, parent in links.tree.items()}
-    named |= {f"leader_links[{index}]": uav for index, uav in enumerate(links.leader_links)}
+    ids, links = file.uav_ids, file.communication
+    for index, first in _repeated(ids):
+        value = f"{ids[index]}: duplicate of uavs[{first}].id"
+        yield Problem(f"uavs[{index}].id", value, "every UAV to have its own id")
+    named = [("leader.id", file.leader.id)]
+    named += [(f"tree.{edge[0]}", uav) for edge in links.tree.items() for uav in edge]
+    named += [(f"leader_links[{index}]", uav) for index, uav in enumerate(links.leader_links)]
     for index, edge in enumerate(links.estimator_edges):
-        named |= {f"estimator_edges[{index}][{end}]": uav for end, uav in enumerate(edge)}
-    for key, uav in named.items():
-        if uav not in ids:
-            yield f"communication.{key}: {uav}: no such UAV; {known}"
+        named += [(f"estimator_edges[{index}][{end}]", uav) for end, uav in enumerate(edge)]
+    for key, uav in named:
+        where = key if key == "leader.id" else f"communication.{key}"
+        yield from unless(uav in ids, where, f"{uav}: no such UAV", one_of(ids))
 
 
 def _links(file: ScenarioFile) -> Problems:
     block = file.communication
     ends = [(link.sender, link.receiver) for link in block.links]
     for index, (sender, receiver) in enumerate(ends):
-        if not (
+        edge = (
             sender in (block.tree.get(receiver), *(block.parents or {}).get(receiver, ()))
             or (sender == file.leader.id and receiver in block.leader_links)
             or {(sender, receiver), (receiver, sender)}.intersection(block.estimator_edges)
-        ):
-            yield (
-                f"communication.links[{index}]: no messages from UAV {sender} to UAV {receiver}: expected an edge "
-                "of communication.tree, parents, leader_links or estimator_edges"
-            )
-    for index, first in _repeated(ends):
-        yield (
-            f"communication.links[{index}]: duplicate of communication.links[{first}], give each link once"
         )
+        value = f"no messages from UAV {sender} to UAV {receiver}"
+        expected = "an edge of communication.tree, parents, leader_links or estimator_edges"
+        yield from unless(edge, f"communication.links[{index}]", value, expected)
+    for index, first in _repeated(ends):
+        value = f"duplicate of communication.links[{first}]"
+        yield Problem(f"communication.links[{index}]", value, "each link once")
     delays = {f"links[{k}].delay_s": link.delay_s for k, link in enumerate(block.links)}
+    less = f"less than communication.stale_s ({block.stale_s:g}), or the receiver holds for ever"
     for key, delay_s in {"delay_s": block.delay_s, **delays}.items():
-        if delay_s is not None and delay_s >= block.stale_s:
-            yield (
-                f"communication.{key}: {delay_s:g}: expected less than communication.stale_s "
-                f"({block.stale_s:g}), or the receiver holds for ever"
-            )
+        in_time = delay_s is None or delay_s < block.stale_s
+        yield from unless(in_time, f"communication.{key}", delay_s, less)
 
 
 def _parents(file: ScenarioFile) -> Problems:
-    links = file.communication
-    parents = links.parents or {}
+    tree, parents = file.communication.tree, file.communication.parents or {}
+    ids = (file.leader.id, *tree)
     for child, weights in parents.items():
-        where, above = f"communication.parents.{child}", links.tree.get(child)
-        if above is None or above not in weights:
-            known = "no follower" if above is None else f"expected {above}, its parent in the tree"
-            yield f"{where}: {known}, among its parents"
+        where, above = f"communication.parents.{child}", tree.get(child)
+        known = "a follower" if above is None else f"{above}, its parent in the tree, among them"
+        yield from unless(above in weights, where, list(weights), known)
         for parent in weights:
-            if parent not in links.tree and parent != file.leader.id:
-                yield f"{where}.{parent}: no such UAV; expected ids under uavs"
+            key, value = f"{where}.{parent}", f"{parent}: no such UAV"
+            yield from unless(parent in ids, key, value, one_of(ids))
         total = math.fsum(weights.values())
-        if abs(total - 1.0) > _WEIGHTS_SUM:
-            yield f"{where}: weights sum to {total:g}: expected 1"
+        yield from unless(abs(total - 1.0) <= _WEIGHTS_SUM, where, f"weights sum to {total:g}", "1")
     if parents:
-        edges = {child: {above} for child, above in links.tree.items()}
+        edges = {child: {above} for child, above in tree.items()}
         try:
             TopologicalSorter({**edges, **parents}).prepare()
         except CycleError as error:
             cycle = " -> ".join(map(str, reversed(error.args[1])))
-            yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
+            expected = "parents on the leader's side"
+            yield Problem("communication.parents", f"cycle {cycle}", expected)
 
 
 def estimator_peak(file: ScenarioFile) -> float:
@@ -137,128 +128,97 @@ def estimator_step(file: ScenarioFile, topology: Topology) -> float:
 
 
 _CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
-_CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"
 
 
 def _timing(file: ScenarioFile) -> Problems:
-    timing, fixes = file.timing, file.sensor.positioning
-    hz = timing.control_hz
-    if SECOND_NS % hz:
-        yield (
-            f"timing.control_hz: {hz}: expected a rate whose period is a whole "
-            "number of nanoseconds, such as 50, 100, 200, 250"
-        )
-    if hz % 5:
-        yield f"timing.control_hz: {hz}: expected a multiple of 5 (/diagnostics)"
-    if timing.physics_hz % hz:
-        yield (
-            f"timing.physics_hz: {timing.physics_hz}: expected a multiple of timing.control_hz ({hz})"
-        )
+    timing, fixes, hz = file.timing, file.sensor.positioning, file.timing.control_hz
+    whole = "a rate whose period is a whole number of nanoseconds, such as 50, 100, 200, 250"
+    yield from unless(SECOND_NS % hz == 0, "timing.control_hz", hz, whole)
+    yield from unless(hz % 5 == 0, "timing.control_hz", hz, "a multiple of 5 (/diagnostics)")
+    multiple = f"a multiple of timing.control_hz ({hz})"
+    yield from unless(timing.physics_hz % hz == 0, "timing.physics_hz", timing.physics_hz, multiple)
     rates = {"": file.sensor.rate_hz} | ({"positioning.": fixes.rate_hz} if fixes else {})
+    divisor = f"a divisor of timing.control_hz ({hz})"
     for block, rate_hz in rates.items():
-        if hz % rate_hz:
-            yield (
-                f"sensor.{block}rate_hz: {rate_hz}: expected a divisor of timing.control_hz ({hz})"
-            )
-    for key in ("latency_s", "unknown_latency_s") if fixes else ():
-        late = float(getattr(fixes, key))
-        if abs(late * hz - round(late * hz)) > 1e-9:
-            yield (
-                f"sensor.positioning.{key}: {late:g}: expected a multiple of the control period, {1 / hz:g} s"
-            )
-    if fixes and fixes.unknown_latency_s > fixes.latency_s:
-        yield (
-            f"sensor.positioning.unknown_latency_s: {fixes.unknown_latency_s:g}: expected at most "
-            f"latency_s ({fixes.latency_s:g}), which it is a part of"
-        )
-    if timing.duration_s * hz < 1:
-        yield f"timing.duration_s: {timing.duration_s:g}: expected at least one control period"
+        yield from unless(hz % rate_hz == 0, f"sensor.{block}rate_hz", rate_hz, divisor)
+    if fixes:
+        for key in ("latency_s", "unknown_latency_s"):
+            late = getattr(fixes, key)
+            on_tick = abs(late * hz - round(late * hz)) <= 1e-9
+            period = f"a multiple of the control period, {1 / hz:g} s"
+            yield from unless(on_tick, f"sensor.positioning.{key}", late, period)
+        most, unknown = fixes.latency_s, fixes.unknown_latency_s
+        key, expected = "unknown_latency_s", f"at most latency_s ({most:g}), which it is a part of"
+        yield from unless(unknown <= most, f"sensor.positioning.{key}", unknown, expected)
+    duration_s = timing.duration_s
+    period = "at least one control period"
+    yield from unless(duration_s * hz >= 1, "timing.duration_s", duration_s, period)
 
 
 def _deadlines(file: ScenarioFile) -> Problems:
     for key in Gains.model_fields:
         loop = getattr(file.gains, key)
-        if isinstance(loop, Loop) and math.isinf(loop.deadline_s):
-            yield (
-                f'gains.{key}.deadline_s: "{AUTO}": expected a number in s, or text such as "1.5 s"'
-            )
-
-
-def _names(file: ScenarioFile) -> Problems:
-    for index, first in _repeated(file.uav_ids):
-        yield (
-            f"uavs[{index}].id: {file.uav_ids[index]}: duplicate of uavs[{first}].id, "
-            "give every UAV its own id"
-        )
-    names = [obstacle.name for obstacle in file.world.obstacles]
-    for index, first in _repeated(names):
-        yield (
-            f'world.obstacles[{index}].name: "{names[index]}": duplicate of '
-            f"world.obstacles[{first}].name, give every obstacle its own name"
-        )
+        known = not isinstance(loop, Loop) or math.isfinite(loop.deadline_s)
+        expected = 'a number in s, or text such as "1.5 s"'
+        yield from unless(known, f"gains.{key}.deadline_s", f'"{AUTO}"', expected)
 
 
 def _obstacles(file: ScenarioFile) -> Problems:
-    wrong = False
-    for index, obstacle in enumerate(file.world.obstacles):
+    obstacles, key = file.world.obstacles, "world.obstacles"
+    for index, first in _repeated(obstacle.name for obstacle in obstacles):
+        value = f'"{obstacles[index].name}": duplicate of {key}[{first}].name'
+        yield Problem(f"{key}[{index}].name", value, "every obstacle to have its own name")
+    for index, obstacle in enumerate(obstacles):
         for problem in obstacle_problems(obstacle):
-            wrong = True
-            yield f"world.obstacles[{index}].{problem}"
-    if wrong:
-        return
-    names = {one.name: index for index, one in enumerate(file.world.obstacles)}
+            yield problem.below(f"{key}[{index}]")
+            return
+    names = {obstacle.name: index for index, obstacle in enumerate(obstacles)}
     seen = len(file.uavs)
-    for index, obstacle in enumerate(file.world.obstacles):
+    for index, obstacle in enumerate(obstacles):
         for body in bodies(obstacle):
             seen += 1
             if names.setdefault(body.name, index) != index:
-                yield (
-                    f'world.obstacles[{names[body.name]}].name: "{body.name}": a box of world.obstacles[{index}] '
-                    "has it, give every obstacle its own name"
-                )
-    if seen > MOST_NEAR_OBJECTS:
-        yield (
-            f"world.obstacles: {seen} bodies with the UAVs and the boxes of maps: expected at most "
-            f"{MOST_NEAR_OBJECTS}, of which a near-object sensor tells"
-        )
+                value = f'"{body.name}": a box of {key}[{index}] has it'
+                where = f"{key}[{names[body.name]}].name"
+                yield Problem(where, value, "every obstacle to have its own name")
+    value = f"{seen} bodies with the UAVs and the boxes of maps"
+    most = f"at most {MOST_NEAR_OBJECTS}, of which a near-object sensor tells"
+    yield from unless(seen <= MOST_NEAR_OBJECTS, key, value, most)
 
 
 def _formation(file: ScenarioFile) -> Problems:
-    formation, offsets = file.formation, file.formation.offsets_m
-    for uav in offsets:
+    formation, key = file.formation, "formation.offsets_m"
+    for uav in formation.offsets_m:
         if uav == file.leader.id:
-            yield f"formation.offsets_m.{uav}: the leader has no offset from itself, remove it"
-        elif uav not in file.followers:
-            ids = ", ".join(map(str, file.followers)) or "none"
-            yield f"formation.offsets_m.{uav}: no such UAV; expected one of the followers: {ids}"
+            yield Problem(f"{key}.{uav}", "the leader has no offset from itself", "none")
+        known = one_of(file.followers, "followers")
+        yield from unless(uav in file.followers, f"{key}.{uav}", "no such UAV", known)
     for uav in file.followers:
-        if uav not in offsets:
-            yield f"formation.offsets_m.{uav}: missing: expected its offset from the leader"
-    least = min(
-        [formation.uav_keep_out_m, *(uav.keep_out_m for uav in file.uavs if uav.keep_out_m)]
-    )
-    if formation.sight_m > 0.5 * least:
-        yield (
-            f"formation.sight_m: {formation.sight_m:g}: expected at most half of the smallest keep-out of a UAV "
-            f"({least:g} m), or one UAV may be taken for another"
-        )
+        given = uav in formation.offsets_m
+        yield from unless(given, f"{key}.{uav}", "missing", "its offset from the leader")
+    keep_outs = (uav.keep_out_m for uav in file.uavs if uav.keep_out_m)
+    least = min([formation.uav_keep_out_m, *keep_outs])
+    half = f"at most half of the smallest keep-out of a UAV ({least:g} m), or one UAV may be taken for another"
+    sight_m = formation.sight_m
+    yield from unless(sight_m <= 0.5 * least, "formation.sight_m", sight_m, half)
     for problem in trajectory_problems(file.leader.trajectory):
-        yield f"leader.trajectory.{problem}"
+        yield problem.below("leader.trajectory")
 
 
 def _changes(file: ScenarioFile) -> Problems:
     end_s = 0.0
     for index, change in enumerate(file.formation.changes):
-        where = f"formation.changes[{index}]"
-        if change.at_s < end_s:
-            yield f"{where}.at_s: {change.at_s:g}: expected at least {end_s:g}, the end of the change before"
+        where, at_s = f"formation.changes[{index}]", change.at_s
+        expected = f"at least {end_s:g}, the end of the change before"
+        yield from unless(at_s >= end_s, f"{where}.at_s", at_s, expected)
         end_s = change.at_s + change.over_s
         yield from _places(change, file.followers, where)
 
 
 def _places(change: Reshaping, followers: tuple[int, ...], where: str) -> Problems:
     for uav in sorted(set(followers).symmetric_difference(change.offsets_m or followers)):
-        yield f"{where}.offsets_m.{uav}: expected an offset of each follower {list(followers)}, and of no other UAV"
+        expected = f"an offset of each follower {list(followers)}, and of no other UAV"
+        yield Problem(f"{where}.offsets_m.{uav}", "", expected)
 
 
 def _leg_times(file: ScenarioFile) -> Problems:
@@ -267,41 +227,39 @@ def _leg_times(file: ScenarioFile) -> Problems:
         return
     names, start = leg_names(mission), mission.start
     for index, leg in enumerate(mission.legs):
-        where = f"mission.legs[{index}]"
-        if names[index] in names[:index]:
-            yield f"{where}.name: {names[index]}: expected a name that no other leg has"
-        if leg.at is not None and leg.at_s is not None:
-            yield f"{where}.at: expected either at or at_s"
-        if leg.at is not None and start is None:
-            yield f"{where}.at: expected mission.start, from which the flight counts"
-        elif leg.at is not None and not utc_time(leg.at).follows(utc_time(start or "")):
-            yield (
-                f"{where}.at: {leg.at}: expected a time that recurs as mission.start, {start}, does, or more often; "
-                "a date where that is one"
-            )
+        where, name = f"mission.legs[{index}]", names[index]
+        unique = name not in names[:index]
+        yield from unless(unique, f"{where}.name", name, "a name that no other leg has")
+        if leg.at is None:
+            continue
+        yield from unless(leg.at_s is None, f"{where}.at", "", "either at or at_s")
+        begins = "mission.start, from which the flight counts"
+        yield from unless(start, f"{where}.at", "", begins)
+        follows = start is not None and utc_time(leg.at).follows(utc_time(start))
+        often = f"a time that recurs as mission.start, {start}, does, or more often; a date where that is one"
+        yield from unless(follows, f"{where}.at", leg.at, often)
     for before, one in pairwise(schedule(mission, file.gains.formation.deadline_s)):
         at_s = begin_of(mission, one.leg)
-        if at_s is not None and at_s < before.end_s - _LATE_S:
-            key = "at" if one.leg.at is not None else "at_s"
-            yield (
-                f"mission.legs[{one.number - 1}].{key}: {at_s:g} s: expected at least {before.end_s:g} s, "
-                "when the leg before is done"
-            )
+        in_turn = at_s is None or at_s >= before.end_s - _LATE_S
+        key = f"mission.legs[{one.number - 1}].{'at_s' if one.leg.at is None else 'at'}"
+        expected = f"at least {before.end_s:g} s, when the leg before is done"
+        yield from unless(in_turn, key, f"{at_s or 0.0:g} s", expected)
 
 
 def _legs(file: ScenarioFile) -> Problems:
     legs = file.mission.legs if file.mission else ()
     for index, leg in enumerate(legs):
-        where = f"mission.legs[{index}]"
-        if expected := _order(legs, index):
-            yield f"{where}.kind: {leg.kind}: {expected}"
-        if index == 0 and (leg.at_s or leg.at is not None or leg.on is not None):
-            yield f"{where}: expected no at_s, at or on: the first leg begins with the first epoch"
+        where, expected = f"mission.legs[{index}]", _order(legs, index)
+        yield from unless(not expected, f"{where}.kind", leg.kind, expected)
+        timed = leg.at_s or leg.at is not None or leg.on is not None
+        first = "no at_s, at or on: the first leg begins with the first epoch"
+        yield from unless(index or not timed, where, "", first)
         path = getattr(leg, "trajectory", None)
         for problem in () if path is None else trajectory_problems(path):
-            yield f"{where}.trajectory.{problem}"
-        if isinstance(leg, SplitLeg) and leg.head not in file.followers:
-            yield f"{where}.head: {leg.head}: expected one of the followers {list(file.followers)}"
+            yield problem.below(f"{where}.trajectory")
+        if isinstance(leg, SplitLeg):
+            known = one_of(file.followers, "followers")
+            yield from unless(leg.head in file.followers, f"{where}.head", leg.head, known)
         if isinstance(leg, ChangeLeg):
             yield from _places(leg, file.followers, where)
 
@@ -311,55 +269,52 @@ def _order(legs: Sequence[LegBlock], index: int) -> str:
     leg, first = legs[index], legs[0]
     apart = [one for one in legs[:index] if isinstance(one, SplitLeg | JoinLeg)][-1:]
     if index == 0 and not isinstance(leg, FormLeg | TakeOffLeg):
-        return "expected form or take_off, with which a mission begins"
+        return "form or take_off, with which a mission begins"
     if index and isinstance(leg, TakeOffLeg):
-        return "expected no take_off after the first leg: UAVs that fly go_to a height"
+        return "no take_off after the first leg: UAVs that fly go_to a height"
     if index == 1 and isinstance(first, TakeOffLeg) and not isinstance(leg, FormLeg):
-        return "expected form, which follows take_off"
+        return "form, which follows take_off"
     if isinstance(leg, FormLeg) and index > isinstance(first, TakeOffLeg):
-        return "expected change, with which a later leg takes another shape"
+        return "change, with which a later leg takes another shape"
     if isinstance(leg, SplitLeg) and apart and isinstance(apart[0], SplitLeg):
-        return "expected a leg of kind join before it"
+        return "a leg of kind join before it"
     if isinstance(leg, JoinLeg) and not (apart and isinstance(apart[0], SplitLeg)):
-        return "expected a leg of kind split before it"
+        return "a leg of kind split before it"
     if isinstance(leg, LandLeg) and index + 1 < len(legs):
-        return "expected no leg after it"
+        return "no leg after it"
     return ""
 
 
 def _plant(file: ScenarioFile) -> Problems:
-    plant = file.plant
-    if plant.kind == "quadrotor" and plant.quadrotor is None:
-        yield "plant.quadrotor: missing: expected its limits, or plant.kind: rigid_body_6dof"
-    for index, uav in enumerate(file.uavs):
+    plant, rotors = file.plant, file.plant.kind == "quadrotor"
+    given = not rotors or plant.quadrotor is not None
+    expected = "its limits, or plant.kind: rigid_body_6dof"
+    yield from unless(given, "plant.quadrotor", "missing", expected)
+    for index, uav in enumerate(file.uavs if rotors else ()):
         own = plant_of(plant, uav)
-        if own.kind != "quadrotor" or own.quadrotor is None:
-            continue
         weight = own.mass_kg * max(uav.mass_scale, 1.0) * file.world.gravity_m_s2
-        most = own.quadrotor.max_thrust_n
-        if most <= weight:
-            general = uav.max_force_n is None
-            key = "plant.quadrotor.max_thrust_n" if general else f"uavs[{index}].max_force_n"
-            whose = f" of UAV {uav.id}" if own != plant or uav.mass_scale > 1.0 else ""
-            yield (
-                f"{key}: {most:g}: expected more than the weight{whose}, {weight:.3g} N, or it cannot hover"
-            )
-    if file.plugins.plant and plant.kind != "quadrotor":
-        yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
+        most = own.rotor_limits.max_thrust_n
+        general = uav.max_force_n is None
+        key = "plant.quadrotor.max_thrust_n" if general else f"uavs[{index}].max_force_n"
+        whose = f" of UAV {uav.id}" if own != plant or uav.mass_scale > 1.0 else ""
+        expected = f"more than the weight{whose}, {weight:.3g} N, or it cannot hover"
+        yield from unless(most > weight, key, most, expected)
+    expected = "plant.kind: quadrotor, whose state it has"
+    fits = rotors or not file.plugins.plant
+    yield from unless(fits, "plugins.plant", file.plugins.plant, expected)
 
 
 def _mavlink(file: ScenarioFile) -> Problems:
     block, fence, ids = file.mavlink, file.mavlink.geofence, file.uav_ids
+    connections = "udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"
     for uav, vehicle in block.vehicles.items():
-        where = f"mavlink.vehicles.{uav}"
-        if uav not in ids:
-            known = ", ".join(map(str, ids))
-            yield f"{where}: no such UAV; expected one of the ids under uavs: {known}"
-        if vehicle.connect is not None and not _CONNECT.fullmatch(vehicle.connect):
-            yield f'{where}.connect: "{vehicle.connect}": {_CONNECT_HELP}'
+        where, connect = f"mavlink.vehicles.{uav}", vehicle.connect
+        yield from unless(uav in ids, where, "no such UAV", one_of(ids))
+        known = connect is None or _CONNECT.fullmatch(connect)
+        yield from unless(known, f"{where}.connect", f'"{connect}"', connections)
     for key in block.overrides:
-        if key.split(".")[0] not in ("gains", "formation"):
-            yield f"mavlink.overrides.{key}: expected a key below gains or formation"
+        below = key.split(".")[0] in ("gains", "formation")
+        yield from unless(below, f"mavlink.overrides.{key}", "", "a key below gains or formation")
     links = {uav: file.vehicle_link(uav) for uav in ids}
     for what in ("sysid", "connect", "signing_key"):
         values = {uav: getattr(link, what) for uav, link in links.items()}
@@ -370,54 +325,52 @@ def _mavlink(file: ScenarioFile) -> Problems:
         ]
         for index, first in _repeated(ports):
             uav, other = list(own)[index], list(own)[first]
-            yield (
-                f"mavlink.vehicles.{uav}.{what}: {own[uav]}: duplicate of that of UAV {other}, "
-                "give every vehicle its own"
-            )
-    if (fence.box_min_m is None) != (fence.box_max_m is None):
-        yield "mavlink.geofence: one corner of the box: expected box_min_m and box_max_m, or neither"
-    for low, high in zip(fence.box_min_m or (), fence.box_max_m or (), strict=False):
-        if low >= high:
-            yield f"mavlink.geofence.box_max_m: {high:g}: expected more than box_min_m, {low:g}"
+            value = f"{own[uav]}: duplicate of that of UAV {other}"
+            yield Problem(f"mavlink.vehicles.{uav}.{what}", value, "every vehicle to have its own")
+    low, high = fence.box_min_m, fence.box_max_m
+    if (low is None) != (high is None):
+        yield Problem(
+            "mavlink.geofence", "one corner of the box", "box_min_m and box_max_m, or neither"
+        )
+    for least, most in zip(low or (), high or (), strict=False):
+        expected = f"more than box_min_m, {least:g}"
+        yield from unless(least < most, "mavlink.geofence.box_max_m", most, expected)
 
 
 def _membership(file: ScenarioFile) -> Problems:
-    leader = file.leader
-    if not file.formation.reconfigures:
-        keys = [
-            f"uavs[{index}].{key}"
-            for key in ("joins_s", "leaves_s")
-            for index, uav in enumerate(file.uavs)
-            if getattr(uav, key) is not None
-        ]
-        for key in keys + ["leader.successors"] * bool(leader.successors):
-            yield f"{key}: expected formation.vacancy: keep or close_up, which says what becomes of an empty slot"
-        return
+    leader, followers = file.leader, file.followers
+    times = [(f"uavs[{index}]", uav) for index, uav in enumerate(file.uavs)]
+    given = [f"{key}.joins_s" for key, uav in times if uav.joins_s is not None]
+    given += [f"{key}.leaves_s" for key, uav in times if uav.leaves_s is not None]
+    given += ["leader.successors"] * bool(leader.successors)
+    vacancy = "formation.vacancy: keep or close_up, which says what becomes of an empty slot"
+    for key in given:
+        yield from unless(file.formation.reconfigures, key, "", vacancy)
     for index, uav_id in enumerate(leader.successors):
-        if uav_id not in file.followers or uav_id in leader.successors[:index]:
-            yield f"leader.successors[{index}]: {uav_id}: expected followers, each once"
-    for index, uav in enumerate(file.uavs):
-        if uav.id == leader.id and uav.joins_s is not None:
-            yield f"uavs[{index}].joins_s: expected none for the leader, around which the others form"
-        if uav.joins_s is not None and uav.leaves_s is not None and uav.leaves_s <= uav.joins_s:
-            yield f"uavs[{index}].leaves_s: {uav.leaves_s:g}: expected more than joins_s, {uav.joins_s:g}"
+        follows = uav_id in followers and uav_id not in leader.successors[:index]
+        yield from unless(follows, f"leader.successors[{index}]", uav_id, "followers, each once")
+    for key, uav in times:
+        if uav.joins_s is not None:
+            none = "none for the leader, around which the others form"
+            yield from unless(uav.id != leader.id, f"{key}.joins_s", uav.joins_s, none)
+            later = uav.leaves_s is None or uav.leaves_s > uav.joins_s
+            more = f"more than joins_s, {uav.joins_s:g}"
+            yield from unless(later, f"{key}.leaves_s", uav.leaves_s, more)
 
 
 def _faults(file: ScenarioFile) -> Problems:
     for index, fault in enumerate(file.faults or ()):
-        if fault.rule.strikes == AUTOPILOT:
-            yield (
-                f"faults[{index}].kind: {fault.kind}: no flight can inject it, stand-ins can: expected "
-                f"`ptnsbc inject {fault.kind} --control PORT`, or `ptnsbc autopilot --fault`"
-            )
+        value = f"{fault.kind}: no flight can inject it, stand-ins can"
+        expected = f"`ptnsbc inject {fault.kind} --control PORT`, or `ptnsbc autopilot --fault`"
+        flown = fault.rule.strikes != AUTOPILOT
+        yield from unless(flown, f"faults[{index}].kind", value, expected)
         for problem in fault_problems(fault, file.uav_ids):
-            yield f"faults[{index}].{problem}"
+            yield problem.below(f"faults[{index}]")
 
 
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _deadlines,
-    _names,
     _obstacles,
     _members,
     _links,

@@ -5,22 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.problems import Problem
 from ptnsbc_tools.check import gains, geometry, mission
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
-_SHAPE = geometry.graph, geometry.shape, geometry.spacing, geometry.moving_spacing
-_STARTS = (geometry.starts_clear,)
-_GAINS = gains.steps, gains.order, gains.printed
-_APPROACH = geometry.slots, geometry.turn, gains.feasible, gains.within_flight, gains.changes
-_MISSION = mission.legs, mission.words, mission.membership, mission.trajectory
-_OBSTACLES = geometry.encounters, geometry.recovery, geometry.sensor
-_CHANCE = gains.positioning, mission.faults
 _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
-    *(_SHAPE + _STARTS + _GAINS),
-    *(_APPROACH + _MISSION + _OBSTACLES + _CHANCE),
+    *(geometry.graph, geometry.shape, geometry.spacing, geometry.moving_spacing),
+    *(geometry.starts_clear, gains.steps, gains.order, gains.printed),
+    *(geometry.slots, geometry.turn, gains.feasible, gains.within_flight, gains.changes),
+    *(mission.legs, mission.words, mission.membership, mission.trajectory),
+    *(geometry.encounters, geometry.recovery, geometry.sensor, gains.positioning, mission.faults),
 )
 
 
@@ -35,7 +30,5 @@ def refuse(scenario: Scenario, findings: Sequence[Finding]) -> None:
     """Raise CheckError, in one line, when any finding is an error."""
     errors = [finding for finding in findings if finding.severity == ERROR]
     if errors:
-        first = errors[0]
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        problem = Problem(first.key, first.value, first.limit, first.advice)
-        raise CheckError(f"{scenario.source}: {problem}{more}")
+        raise CheckError(f"{scenario.source}: {errors[0]}{more}")

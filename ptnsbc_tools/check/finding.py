@@ -24,6 +24,10 @@ class Finding:
     limit: str
     advice: str
 
+    def __str__(self) -> str:
+        """In one line, behind the name of the scenario."""
+        return f"{self.key}: {self.value}: expected {self.limit}; {self.advice}"
+
 
 def judge(key: str, value: str, limit: str, advice: str = "", severity: str = WARNING) -> Finding:
     """A finding: of the severity where there is something to change, else good to know."""

@@ -180,7 +180,7 @@ class Fault:
         uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
         bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
         for problem in fault_problems(fault, [*uavs, *bridges]):
-            raise InjectError(_in_options(problem))
+            raise InjectError(_in_options(str(problem)))
         return fault
 
 

@@ -119,8 +119,7 @@ def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None =
         report = check(scenario, dry_runs=0)
         report.refuse()
         for one in (finding for finding in report if finding.severity == WARNING):
-            line = f"{scenario.name}: {one.key}: {one.value}: expected {one.limit}; {one.advice}"
-            warnings.warn(line, stacklevel=2)
+            warnings.warn(f"{scenario.name}: {one}", stacklevel=2)
     from ptnsbc_sim.swarm import fly as fly_headless  # loads numba: only after all checks
     from ptnsbc_sim.verdict.recording import recording_of
 

@@ -7,13 +7,14 @@ and where it can be injected; the checks, the documentation and `ptnsbc inject` 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
 from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_sim.scenario.fields import Block, NotNegative, Number, Positive, UavId, Vec3
+from ptnsbc_sim.scenario.problems import Problems, one_of, unless
 
 FaultKind = Literal[
     "silence",
@@ -174,35 +175,29 @@ def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
     )
 
 
-def fault_problems(fault: FaultBlock, uavs: Collection[int]) -> Iterator[str]:
-    """The problems of a fault among these UAVs: the key, and what is expected."""
-    rule, kind = fault.rule, fault.kind
-    yield from _victim_problems(fault)
-    of_uav = _OF_UAV.fullmatch(fault.process or "")
-    number = int(of_uav[1]) if of_uav else fault.uav
-    if number is not None and number not in uavs:
-        known = ", ".join(map(str, sorted(uavs)))
-        yield f"uav: {number}: no such UAV; expected one of the ids under uavs: {known}"
-    if rule.needs and getattr(fault, rule.needs) is None:
-        yield f"{rule.needs}: missing: {kind} needs it"
+def fault_problems(fault: FaultBlock, uavs: Collection[int]) -> Problems:
+    """The problems of a fault among these UAVs."""
+    rule, kind, uav, process = fault.rule, fault.kind, fault.uav, fault.process
+    if rule.strikes == RECORDER:
+        free = uav is None and process in (None, "recorder")
+        yield from unless(free, "uav", f"{kind} strikes the recorder", "no UAV")
+    elif rule.strikes == PROCESS:
+        one = (uav is None) != (process is None)
+        yield from unless(one, "uav", f"{kind} needs uav or process", "one of them")
+    else:
+        yield from unless(process is None, "process", f"{process}: {kind} strikes a UAV", "uav")
+        victim = f"the id of the UAV that {kind} strikes"
+        yield from unless(uav is not None, "uav", "missing", victim)
+    of_uav = _OF_UAV.fullmatch(process or "")
+    number = int(of_uav[1]) if of_uav else uav
+    known = number is None or number in uavs
+    yield from unless(known, "uav", f"{number}: no such UAV", one_of(uavs))
     for key in _AMOUNTS:
-        if key != rule.needs and getattr(fault, key) is not None:
-            yield f"{key}: {kind} does not take it: remove it"
-    if not rule.lasts and fault.duration_s is not None:
-        yield f"duration_s: {kind} has no end: remove it"
-    if kind == "freeze" and fault.duration_s is None:
-        yield "duration_s: missing: a process that is frozen must go on; use kill to end it"
-
-
-def _victim_problems(fault: FaultBlock) -> Iterator[str]:
-    strikes, kind = fault.rule.strikes, fault.kind
-    if strikes == RECORDER:
-        if fault.uav is not None or fault.process not in (None, "recorder"):
-            yield f"uav: {kind} strikes the recorder: expected no UAV"
-    elif strikes == PROCESS:
-        if (fault.uav is None) == (fault.process is None):
-            yield f"uav: {kind} needs uav or process: expected one of them"
-    elif fault.process is not None:
-        yield f"process: {fault.process}: {kind} strikes a UAV: expected uav"
-    elif fault.uav is None:
-        yield f"uav: missing: expected the id of the UAV that {kind} strikes"
+        given, needed = getattr(fault, key) is not None, key == rule.needs
+        yield from unless(given or not needed, key, f"missing: {kind} needs it", "")
+        yield from unless(needed or not given, key, f"{kind} does not take it: remove it", "")
+    ends = rule.lasts or fault.duration_s is None
+    yield from unless(ends, "duration_s", f"{kind} has no end: remove it", "")
+    goes_on = kind != "freeze" or fault.duration_s is not None
+    why = "missing: a process that is frozen must go on; use kill to end it"
+    yield from unless(goes_on, "duration_s", why, "")

@@ -23,6 +23,7 @@ from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array, Trajectory
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3, rows_of
 from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, YAW, conditions, curve_of
+from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 
 _STRETCH: Array = np.power(1.25, np.arange(20.0))  # of join_s and stop_s, up to 69 times
 _SHARES = np.linspace(0.0, 1.0, 65)  # of a polynomial, at which it is compared with the limits
@@ -100,20 +101,17 @@ def takes_setpoints(path: Any) -> bool:
     return isinstance(block, SetpointTrajectory) and block.samples is None
 
 
-def stream_problems(block: SetpointTrajectory) -> Iterator[str]:
-    """The errors of a stream, as `key: value: expectation`."""
-    low, high = np.array(block.low_m), np.array(block.high_m)
-    if not (low < high).all():
-        yield f"high_m: {list(block.high_m)}: expected above low_m {list(block.low_m)} on each axis"
-        return
-    place = np.array(block.position_m)
-    if not ((low <= place) & (place <= high)).all():
-        yield f"position_m: {list(block.position_m)}: expected from low_m to high_m"
-        return
+def stream_problems(block: SetpointTrajectory) -> Problems:
+    """The errors of a stream."""
+    low, high, place = (np.array(at) for at in (block.low_m, block.high_m, block.position_m))
+    above = f"above low_m {list(block.low_m)} on each axis"
+    yield from unless((low < high).all(), "high_m", list(block.high_m), above)
+    inside = ((low <= place) & (place <= high)).all()
+    yield from unless(inside, "position_m", list(block.position_m), "from low_m to high_m")
     try:
         streamed(block, setpoints_of(block.samples or ""))
     except ValueError as error:
-        yield f"samples: {error}"
+        yield Problem("samples", str(error), "")
 
 
 def setpoints_of(text: str) -> tuple[Setpoint, ...]:

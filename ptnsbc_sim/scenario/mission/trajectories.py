@@ -5,7 +5,7 @@ SciPy's splines make curves through points once; they become a table of polynomi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
@@ -35,6 +35,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     stream_problems,
     streamed,
 )
+from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 
 MOST_POINTS = 2000
 """Points of a curve at most, also rows of a CSV file."""
@@ -181,61 +182,58 @@ _MOST_STEPS = 50_000
 _BEFORE_S = 1e-9  # before the end of a piece
 
 
-def trajectory_problems(block: AnyPath) -> Iterator[str]:
-    """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
+def trajectory_problems(block: AnyPath) -> Problems:
+    """The errors of a trajectory; only the first one counts, others may follow from it."""
     if isinstance(block, SetpointTrajectory):
         yield from stream_problems(block)
-    problems: list[str] = []
     if isinstance(block, Waypoints):
-        problems = list(_waypoint_problems(block))
+        yield from _waypoint_problems(block)
     elif isinstance(block, Csv):
         try:
             samples_of(block.samples)
         except ValueError as error:
-            problems = [f"samples: {error}"]
-    yield from problems
-    if isinstance(block, Waypoints | Csv) and not problems:
+            yield Problem("samples", str(error), "")
+            return
+    if isinstance(block, Waypoints | Csv):
         try:
             with np.errstate(all="ignore"):
                 finite = bool(np.isfinite(trajectory_of(block).table).all())
         except ValueError:  # of SciPy; LinAlgError is one
             finite = False
         key = "samples" if isinstance(block, Csv) else "times_s"
-        if not finite:
-            yield f"{key}: no smooth curve goes through these points: expected times that are more even"
+        value = "no smooth curve goes through these points"
+        yield from unless(finite, key, value, "times that are more even")
 
 
 def _too_far(numbers: Any) -> bool:
     return bool(np.abs(np.array(numbers, dtype=np.float64)).max(initial=0.0) > _FARTHEST)
 
 
-def _waypoint_problems(block: Waypoints) -> Iterator[str]:
-    size = len(block.points_m)
+def _waypoint_problems(block: Waypoints) -> Problems:
+    size, times, yaws = len(block.points_m), block.times_s, block.yaws_rad
     for key in ("points_m", "times_s", "yaws_rad"):
-        if _too_far(getattr(block, key) or ()):
-            yield f"{key}: expected no number beyond {_FARTHEST:g}"
-            return
-    if (block.times_s is None) == (block.speed_m_s is None):
-        yield "times_s: expected either times_s or speed_m_s"
-        return
-    if block.yaws_rad is not None and len(block.yaws_rad) != size:
-        yield f"yaws_rad: {len(block.yaws_rad)} numbers: expected one for each of {size} points"
-    if block.times_s is None:
-        for k, (one, other) in enumerate(pairwise(_lap(block))):
-            if np.linalg.norm(other - one) < 1e-6:
-                yield (
-                    f"points_m[{k}]: the same as the next one: expected another point, or times_s"
-                )
+        near = not _too_far(getattr(block, key) or ())
+        yield from unless(near, key, "", f"no number beyond {_FARTHEST:g}")
+    one = (times is None) != (block.speed_m_s is None)
+    yield from unless(one, "times_s", "", "either times_s or speed_m_s")
+    if yaws is not None:
+        value, expected = f"{len(yaws)} numbers", f"one for each of {size} points"
+        yield from unless(len(yaws) == size, "yaws_rad", value, expected)
+    if times is None:
+        for k, (point, other) in enumerate(pairwise(_lap(block))):
+            apart = np.linalg.norm(other - point) >= 1e-6
+            expected = "another point, or times_s"
+            yield from unless(apart, f"points_m[{k}]", "the same as the next one", expected)
         return
     needed = size + block.closed
-    if len(block.times_s) != needed:
-        why = f"each of {size} points" + (" and the end of the lap" if block.closed else "")
-        yield f"times_s: {len(block.times_s)} numbers: expected {needed}, one for {why}"
-    elif (wrong := _not_ascending(block.times_s)) is not None:
-        yield f"times_s[{wrong}]: {block.times_s[wrong]:g}: {_ASCENDING}"
+    why = f"each of {size} points" + (" and the end of the lap" if block.closed else "")
+    value, expected = f"{len(times)} numbers", f"{needed}, one for {why}"
+    yield from unless(len(times) == needed, "times_s", value, expected)
+    if (wrong := _not_ascending(times)) is not None:
+        yield Problem(f"times_s[{wrong}]", f"{times[wrong]:g}", _ASCENDING)
 
 
-_ASCENDING = "expected times that begin with 0 and ascend"
+_ASCENDING = "times that begin with 0 and ascend"
 
 
 def _not_ascending(times: Sequence[float]) -> int | None:
@@ -262,7 +260,9 @@ def samples_of(text: str | None) -> Array:
         raise ValueError(f"expected no number beyond {_FARTHEST:g}")
     wrong = _not_ascending(table[:, 0].tolist())
     if wrong is not None:
-        raise ValueError(f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: {_ASCENDING}")
+        raise ValueError(
+            f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: expected {_ASCENDING}"
+        )
     return table
 
 

@@ -45,13 +45,13 @@ def test_own_entries_win():
         ({"vehicles": {2: {"sysid": 1}}}, r"mavlink.vehicles.2.sysid: 1: duplicate .* UAV 1"),
         (
             {"vehicles": {3: {"connect": "udpin:0.0.0.0:14540"}}},
-            r"mavlink.vehicles.3.connect: .*duplicate .* UAV 1, give every vehicle its own",
+            r"mavlink.vehicles.3.connect: .*duplicate .* UAV 1: expected every vehicle to have its own",
         ),
         (
             {"vehicles": {1: {"signing_key": "k"}, 2: {"signing_key": "k"}}},
             r"mavlink.vehicles.2.signing_key: k: duplicate",
         ),
-        ({"vehicles": {9: {}}}, r"mavlink.vehicles.9: no such UAV; expected one of .* 1, 2, 3"),
+        ({"vehicles": {9: {}}}, r"mavlink.vehicles.9: no such UAV: expected one of .* 1, 2, 3"),
         ({"vehicles": {1: {"connect": "tcp:1.2.3.4:5"}}}, r"connect: .*expected udpin:ADDRESS"),
         ({"rate_hz": 10}, r"mavlink.rate_hz: 10: expected >= 20"),
         ({"rate_hz": 200}, r"mavlink.rate_hz: 200: expected <= 100"),

@@ -109,7 +109,7 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
         ("    3: [-0.6, -1.2, 0]\n", "", "formation.offsets_m.3: missing", "offset"),
         # ids
         ("  - id: 3\n", "  - id: 2\n", "uavs[2].id: 2: duplicate of uavs[1].id", "own id"),
-        ("  - id: 5\n", "  - id: 6\n", "communication.tree.5: no UAV 5", "start is missing"),
+        ("  - id: 5\n", "  - id: 6\n", "communication.tree.5: 5: no such UAV", "under uavs: 1"),
         ("5: [1.2, -2.4, 0]", "9: [1.2, -2.4, 0]", "formation.offsets_m.9: no such UAV", "2, 3"),
         ("5: 4}", "5: 7}", "communication.tree.5: 7: no such UAV", "1, 2, 3, 4, 5"),
         (

@@ -35,7 +35,7 @@ def test_every_kind_can_be_written(kind):
     ("keys", "said"),
     [
         ({"kind": "silence"}, r"faults\[0\].uav: missing"),
-        ({"kind": "silence", "uav": 9}, "no such UAV; expected one of the ids under uavs: 1, 2"),
+        ({"kind": "silence", "uav": 9}, "no such UAV: expected one of the ids under uavs: 1, 2"),
         ({"kind": "silence", "process": "uav2"}, "process: uav2: silence strikes a UAV"),
         ({"kind": "kill"}, "kill needs uav or process"),
         ({"kind": "kill", "uav": 2, "process": "uav3"}, "kill needs uav or process"),
