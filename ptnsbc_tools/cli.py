@@ -20,8 +20,13 @@ from ptnsbc_tools import console
 from ptnsbc_tools.options import flat, group
 
 _REFUSED, _INTERRUPTED = 2, 130
-_REPLACED = {"--out": "--output", "--jobs": "--workers", "--key": "--signing-key"}
-"""Options of earlier versions, and those of today."""
+_REPLACED = {
+    "--out": "--output",
+    "--jobs": "--workers",
+    "--key": "--signing-key",
+    "--deadline": "--set gains.formation.deadline_s=S",
+}
+"""Options that are expected by another name, or were named so in earlier versions."""
 _STARTS_PROCESSES = ("fleet", "demo", "network", "view", "tune")
 # All words after `reproduce` are of paper/, --help too.
 _FOREIGN = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}

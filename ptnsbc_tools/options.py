@@ -104,6 +104,14 @@ def full_namespace(given: str) -> str:
     return given and f"/{given.strip('/')}"
 
 
+def _number_or_text(word: str) -> float | str:
+    """A value of a scenario: a number, or a text such as "5 s", which the scenario understands or refuses."""
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
 ScenarioArgument = Annotated[
     str,
     argument(
@@ -117,7 +125,9 @@ SetOption = Annotated[
         "Any other key of the scenario, dotted, e.g. sensor.range_m=5. Repeatable.",
     ),
 ]
-DurationOption = Annotated[float | None, option("--duration S", "Length of the flight.")]
+DurationOption = Annotated[
+    float | None, option("--duration S", "Length of the flight.", parser=_number_or_text)
+]
 BagArgument = Annotated[Path, argument("BAG", "Folder of a bag, or its .mcap file.")]
 BagOption = Annotated[Path | None, option("--bag DIR", "Record into this folder.")]
 PictureOption = Annotated[

@@ -10,10 +10,12 @@ import hashlib
 import importlib.util
 import inspect
 import math
+import re
 import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
@@ -23,7 +25,6 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.kernel import COMPILED, compiler
 from ptnsbc_sim.plugins.hooks import HOOKS, Hook
 
-_LONGEST = 300
 _LONGEST_VALUE = 120
 
 
@@ -94,8 +95,13 @@ class Plugin:
                 self.function(*inputs)  # a compiled one does not know the line of its error
             except Exception as interpreted:
                 seen = interpreted
+            near = ""
+            if isinstance(seen, AttributeError):
+                fields = getattr(seen.obj, "_fields", ())
+                for name in get_close_matches(seen.name, fields, 1, 0.5):
+                    near = f": did you mean {name}?"
             raise PluginError(
-                f"{place_of(self.function, seen)}: {type(error).__name__}: {error}"
+                f"{place_of(self.function, seen)}: {type(error).__name__}: {error}{near}"
             ) from error
 
     def numbers(self, *inputs: Any, at: str) -> tuple[float, ...]:
@@ -173,10 +179,15 @@ def _compiled(function: FunctionType, file: Path, hook: Hook) -> Callable[..., A
     try:
         compiled.compile(tuple(numba.typeof(argument) for argument in hook.example))
     except Exception as error:  # not all of numba's errors are NumbaErrors: `global`, *inputs
-        line = " ".join(str(error).split()) or type(error).__name__
+        try:
+            function(*hook.example)
+        except (AttributeError, NameError, TypeError):
+            return function  # it does not run either: its first call says why, with the line
+        lines = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).splitlines() or [type(error).__name__]
+        lines = [line for line in lines if line.strip() and not line.startswith("Failed in ")]
         print(
             f"{hook.name} {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "
-            f"numba cannot compile it: {line[:_LONGEST]}",
+            f"numba cannot compile it: {''.join(lines[:1]).strip()[:_LONGEST_VALUE]}",
             file=sys.stderr,
             flush=True,
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, WrapValidator, model_validator
+from pydantic import Field, WrapValidator
 
 from ptnsbc_core.nanoseconds import SECOND_NS, nanoseconds
 from ptnsbc_core.tasks.table import TaskName
@@ -288,7 +288,7 @@ class Formation(Block):
     `close_up` moves those behind it up."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
     """Rule of the clearance from obstacles and other UAVs."""
-    offsets_m: dict[UavId, Vec3]
+    offsets_m: dict[UavId, Vec3] = Field(default_factory=dict)
     """Desired position of every follower, or of every slot but the leader's, relative to the leader. Give this or
     `shape`."""
     shape: ShapeBlock | None = None
@@ -308,13 +308,6 @@ class Formation(Block):
     recovery_s: Positive = 1.0
     """Shortest time base of the way back after an encounter; it is longer where the limits of speed and acceleration
     need more, see [method.md](method.md#way-back)."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _leave_offsets(cls, tree: Any) -> Any:
-        """The offsets of a named shape are none until it is resolved."""
-        named = isinstance(tree, dict) and tree.get("shape") is not None
-        return {**tree, "offsets_m": tree.get("offsets_m") or {}} if named else tree
 
     @property
     def has_open_slots(self) -> bool:

@@ -37,7 +37,9 @@ def check(
     fly: Annotated[
         bool, option("--fly/--no-fly", "Fly dry runs when the rest finds no error.")
     ] = True,
-    runs: Annotated[int, option("--runs -n N", "Perturbed dry runs.", 1, MOST_RUNS)] = _RUNS,
+    runs: Annotated[
+        int, option("--runs -n N", "Perturbed dry runs; 0: none.", 0, MOST_RUNS)
+    ] = _RUNS,
     json: JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms, and fly it in dry runs.

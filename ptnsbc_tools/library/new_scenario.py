@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from string import Template
 
@@ -22,7 +23,9 @@ class NewScenarioError(PtnsbcError):
     """A scenario that cannot be made."""
 
 
-def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> str:
+def text_of(
+    name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0, folder: Path = Path()
+) -> str:
     """The file of a new scenario: it passes `ptnsbc check`, and every block has a comment; arguments as of `new`."""
     if shape not in SHAPES:
         raise NewScenarioError(f"--shape {shape}: {similar(shape, SHAPES)}")
@@ -36,7 +39,8 @@ def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> 
     starts = np.round(places + np.array([0.0, _RADIUS_M, _START_M - lowest]), 2) + 0.0
     template = Template(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
     return template.substitute(
-        schema=FILE,
+        # From the folder of the file, so that a clone of it finds the schema too.
+        schema=os.path.relpath(FILE, folder),
         name=name,
         shape=shape,
         n=n,
@@ -78,7 +82,7 @@ def new(
     path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")
     if path.exists() and not overwrite:
         raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
-    text = text_of(named(path), shape, n, spacing_m)
+    text = text_of(named(path), shape, n, spacing_m, path.parent)
     with replacing(path, folder=True) as part:
         part.write_text(text, encoding="utf-8")
     return path

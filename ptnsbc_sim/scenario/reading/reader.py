@@ -7,6 +7,7 @@ key by key, lists and single values are replaced, and `key: null` removes a key.
 from __future__ import annotations
 
 import json
+import os
 import re
 import sysconfig
 from collections.abc import Mapping
@@ -140,32 +141,29 @@ def available() -> list[str]:
 def find(name: str | Path, beside: Path | None = None) -> Path:
     """The file of a scenario, given by path or by name without suffix."""
     given = Path(name).expanduser()
+    if not given.name:
+        raise ScenarioError(f'"{name}": expected the name or the file of a scenario')
+    in_full = given.suffix in _SUFFIXES
     if len(given.parts) > 1:
-        path = given if beside is None or given.is_absolute() else beside / given
-        if _is_file(path):
+        places = [given if beside is None or given.is_absolute() else beside / given]
+    else:
+        suffixes = ("",) if in_full else _SUFFIXES
+        # A file named in full is more likely the one lying here than a shipped one.
+        here = [beside or Path.cwd()] if in_full or beside else []
+        places = [folder / f"{given}{end}" for folder in here + folders() for end in suffixes]
+    for path in places:
+        if os.path.isfile(path):  # False for a name that is too long, or with a NUL
             return path
-        raise ScenarioError(f"{path}: no such scenario file; {_names(given.stem)}")
-    suffixes = ("",) if given.suffix in _SUFFIXES else _SUFFIXES
-    # A file named in full is more likely the one lying here than a shipped one.
-    here = [beside or Path.cwd()] if given.suffix in _SUFFIXES or beside else []
-    for folder in here + folders():
-        for suffix in suffixes:
-            path = folder / f"{given}{suffix}"
-            if _is_file(path):
-                return path
-    raise ScenarioError(f"{given}: no scenario of this name; {_names(given.stem)}")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or with a NUL
-        return False
-
-
-def _names(word: str) -> str:
+    if os.path.isdir(places[0]) or os.path.isdir(given):
+        raise ScenarioError(f"{given}: a folder: expected a scenario file")
     names = available()
-    return similar(word, names) if names else "none are installed, give a path"
+    if not in_full and len(given.parts) == 1:
+        raise ScenarioError(f"{given}: no scenario of this name; {similar(given, names)}")
+    around = os.listdir(folder) if os.path.isdir(folder := places[0].parent) else []
+    files = sorted(name for name in around if name.endswith(_SUFFIXES))
+    near = similar(given.name, [*files, *names])
+    advice = near if near.startswith("did") else "expected one, or a name of ptnsbc scenarios"
+    raise ScenarioError(f"{given}: no such scenario file; {advice}")
 
 
 def read_text(path: Path) -> str:

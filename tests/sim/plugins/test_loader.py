@@ -97,17 +97,22 @@ def test_what_numba_cannot_compile_is_interpreted_with_a_word(
             r"mine\.py:2: law: ZeroDivisionError",
         ),
         (
+            ("def law(inputs):", "    return inputs.pos"),
+            r"mine\.py:2: law: AttributeError: .* 'pos': did you mean position\?$",
+        ),
+        (
             ("import json", "def law(inputs):", "    x = json.loads('1')", "    return x[3]"),
             r"mine\.py:4: law: TypeError",
         ),
     ],
 )
 def test_a_law_that_gives_no_velocity_names_its_line(
-    write: Write, lines: tuple[str, ...], match: str
+    write: Write, capsys: pytest.CaptureFixture[str], lines: tuple[str, ...], match: str
 ) -> None:
     law = _law(write(*lines))
     with pytest.raises(PluginError, match=match):
         law.numbers(_EXAMPLE, at="t = 0.000 s")
+    assert capsys.readouterr().err == ""  # nothing of the compiler
 
 
 @pytest.mark.parametrize(

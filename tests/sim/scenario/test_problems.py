@@ -200,6 +200,10 @@ def test_angles_have_no_meaning_above_the_parent() -> None:
         ("paper_6", 'did you mean "paper_5"'),
         ("nowhere/paper_5.yaml", "no such scenario file"),
         ("zzz", "expected one of: "),
+        ("paper_6.yaml", 'no such scenario file; did you mean "paper_5"'),
+        ("zzz.yaml", "no such scenario file; expected one, or a name"),
+        ("scenarios", "scenarios: a folder"),
+        ("", '"": expected the name or the file'),
     ],
 )
 def test_scenario_that_is_not_there(name: str, expected: str) -> None:

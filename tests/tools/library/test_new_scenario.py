@@ -78,6 +78,8 @@ def test_a_file_gives_its_name() -> None:
 def test_the_library_writes_the_file_that_the_check_accepts(tmp_path: Path) -> None:
     file = ptnsbc.new(tmp_path / "mine", "line", 3)
     assert file == tmp_path / "mine.yaml"
+    schema = file.read_text("utf-8").splitlines()[0].partition("$schema=")[2]
+    assert not Path(schema).is_absolute() and (tmp_path / schema).is_file()
     assert ptnsbc.check(ptnsbc.load(file), dry_runs=0).ok
     with pytest.raises(NewScenarioError, match="exists"):
         ptnsbc.new(file)
