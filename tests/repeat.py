@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
 STARTS_PROCESSES = (
-    "nodes", "io/bag", "sim/autopilot", "tools/commands", "tools/replay", "tools/reproduce", "bench", "test_launch.py",
+    "nodes", "io/bag", "autopilot", "paper", "tools/commands", "tools/live", "tools/replay", "bench", "test_launch.py",
 )  # fmt: skip
 QUICK = "not slow and not alone"
 NOT_JUDGED = re.compile(r"(\d+) not judged")
@@ -80,6 +80,8 @@ def main() -> int:
     logs.mkdir(parents=True, exist_ok=True)
     cores = len(os.sched_getaffinity(0))
     paths = [str(HERE / place) for place in STARTS_PROCESSES]
+    for path in paths:
+        os.stat(path)  # now, and not after an hour
     runs = []
     for k in range(times):
         file = logs / f"all{k + 1}.log"
