@@ -12,7 +12,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from ptnsbc_core.algebra import store3
+from ptnsbc_core.algebra import odometry_tuple, store3
 from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list, prepared
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.step import TaskPoints, initial_state, step, task_points
@@ -147,10 +147,10 @@ def _unpack(vector: Array, near: Array) -> AgentInputs:
     count = (vector.shape[0] - ESTIMATES) // (ODOMETRY_SIZE + 1)
     ages = ESTIMATES + ODOMETRY_SIZE * count
     return AgentInputs(
-        vector[OWN:PARENT],
-        vector[PARENT:LEADER],
+        odometry_tuple(vector[OWN:PARENT]),
+        odometry_tuple(vector[PARENT:LEADER]),
         vector[PARENT_AGE],
-        vector[LEADER:PARENT_AGE],
+        odometry_tuple(vector[LEADER:PARENT_AGE]),
         vector[LEADER_AGE],
         vector[ESTIMATES:ages].reshape(count, ODOMETRY_SIZE),
         vector[ages:],

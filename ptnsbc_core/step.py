@@ -8,19 +8,23 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import add3, load3, norm3, odometry_tuple, sub3, wrap_angle
-from ptnsbc_core.behaviours.formation import is_plan_left
+from ptnsbc_core.algebra import add3, load3, norm3, sub3, wrap_angle
+from ptnsbc_core.behaviours.formation import formation, is_plan_left
 from ptnsbc_core.behaviours.mission import (
     attitude,
     desired_yaw,
     hold_behaviour,
     hold_target,
+    leader_tracking,
     link_lost,
-    mission_behaviour,
-    parent_and_leader,
     with_velocity,
 )
-from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
+from ptnsbc_core.behaviours.neighbour import (
+    UNKNOWN,
+    neighbour_motion,
+    parent_and_leader,
+    reported_velocity,
+)
 from ptnsbc_core.behaviours.recovery import (
     DISTURBED,
     UNDISTURBED,
@@ -38,9 +42,10 @@ from ptnsbc_core.control.rigid_body_control import (
     initial_observer,
     rigid_body_control,
 )
+from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.curves.turned import ToldPaths
 from ptnsbc_core.estimator import leader_estimate
-from ptnsbc_core.kernel import by_reference, formula, inline_kernel, kernel
+from ptnsbc_core.kernel import by_reference, inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
@@ -244,22 +249,26 @@ def _yaw_rate(inputs: AgentInputs, command: VelocityReference, config: AgentConf
     return min(max(config.controller.attitude_gain[1] * error, -limit), limit)
 
 
-@formula
-def _in_numbers(inputs: AgentInputs) -> AgentInputs:
-    """The same with tuples for odometry vectors: read once, and not again after every write to an array."""
-    return AgentInputs(
-        odometry_tuple(inputs.own),
-        odometry_tuple(inputs.parent),
-        inputs.parent_age_s,
-        odometry_tuple(inputs.leader),
-        inputs.leader_age_s,
-        inputs.estimates,
-        inputs.estimate_age_s,
-        inputs.near,
-        inputs.near_age_s,
-        inputs.mode,
-        inputs.start_age_s,
-    )
+@inline_kernel
+def _behaviour(
+    inputs: AgentInputs,
+    estimate: Estimate,
+    motions: NeighbourMotions,
+    epoch: EpochErrors,
+    clock: Clock,
+    config: AgentConfig,
+    task: TaskGeometry | None,
+) -> Behaviour:
+    """Leader tracking for the leader, formation for a follower; one that has not heard its parent stays where it is."""
+    position = load3(inputs.own, 0)
+    if config.leader:
+        desired = reference(config.trajectory, clock.start_t)
+        return leader_tracking(sub3(position, config.leader_slot), desired, epoch, clock, config)
+    if inputs.parent_age_s >= NEVER_RECEIVED_S:
+        rest = Reference(position, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0))
+        return leader_tracking(position, rest, epoch, clock, config)
+    parent, leader = parent_and_leader(inputs, estimate, motions, clock, config)
+    return formation(position, parent, leader, epoch, clock, config, task)
 
 
 class TaskPoints(NamedTuple):
@@ -276,7 +285,7 @@ def task_points(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
 ) -> TaskPoints:
     """The state at which the step that follows evaluates its task."""
-    inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
+    inputs, config = by_reference(inputs), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
     lost = link_lost(inputs, clock.start_t, config)
     motions = _motions(state, inputs, clock, config)
@@ -350,7 +359,7 @@ def step(
     law in place of the formation law's; clearance, filter and controller act on it, a UAV that holds does not follow
     it. `task` is a task of the user, evaluated at `task_points`. numba drops a branch on None: the two cost nothing.
     """
-    inputs, config = by_reference(_in_numbers(inputs)), by_reference(config)
+    inputs, config = by_reference(inputs), by_reference(config)
     clock = Clock(t, inputs.start_age_s, dt)
     lost = link_lost(inputs, clock.start_t, config)
     holding = inputs.mode != MODE_FORMATION or lost
@@ -364,7 +373,7 @@ def step(
     if at_epoch:  # with a tenth of the common plan left or less a UAV has a time base of its own
         own_base = UNDISTURBED if is_plan_left(t, config) else DISTURBED
         epoch = EpochErrors(True, state.start, own_base)
-    behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)
+    behaviour = _behaviour(inputs, estimate, motions, epoch, clock, config, task)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
         rates, euler_error = attitude(inputs.own, yaw, epoch, clock, config)

@@ -231,7 +231,7 @@ class AgentConfig(NamedTuple):
 class AgentInputs(NamedTuple):
     """The inputs of one UAV at this tick. Ages count from a message's stamp; NEVER_RECEIVED_S without a message."""
 
-    own: OdometryLike  # (13,) odometry vector
+    own: OdometryLike  # (13,) odometry vector; kernels pass numbers, not arrays, which every write might change
     parent: OdometryLike  # (13,) odometry vector of the parent
     parent_age_s: float
     leader: OdometryLike  # (13,) odometry vector of the leader, for pinned followers

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.algebra import store
+from ptnsbc_core.algebra import odometry_tuple, store
 from ptnsbc_core.behaviours.neighbour import mean_parent
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nanoseconds import seconds
@@ -140,10 +140,10 @@ def inputs_of(
     behind = tick % wiring.near_every
     now_ns = tick * wiring.dt_ns
     return AgentInputs(
-        track.odometry[tick, row],
-        parent_state,
+        odometry_tuple(track.odometry[tick, row]),
+        odometry_tuple(parent_state),
         parent_age_s,
-        _received(swarm, from_leader, wiring.leader[row] if pinned else -1),
+        odometry_tuple(_received(swarm, from_leader, wiring.leader[row] if pinned else -1)),
         _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,
         ages,

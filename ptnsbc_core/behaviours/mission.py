@@ -1,24 +1,21 @@
-"""The task of one UAV at this tick: follow the trajectory, keep its formation position, hold, or land.
+"""What a UAV does beside the formation law: lead along the trajectory, keep its attitude, hold, or land.
 
-The paper does not give the laws of the leader and of the attitude.
+The paper does not give these laws.
 """
 
 from __future__ import annotations
 
 from ptnsbc_core.algebra import add3, axpy, limit_norm, load3, norm3, scale3, sub3, wrap_angle
-from ptnsbc_core.behaviours.formation import braked, formation
-from ptnsbc_core.behaviours.neighbour import Neighbour, associate, extrapolated
+from ptnsbc_core.behaviours.formation import braked
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation, yaw_of
-from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.timebase import Clock, loop_gain, soft_start, task_acceleration, task_rate
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
     MODE_FORMATION,
     MODE_LAND,
-    NEVER_RECEIVED_S,
     AgentConfig,
     AgentInputs,
     AgentState,
@@ -27,7 +24,6 @@ from ptnsbc_core.types import (
     EpochErrors,
     Estimate,
     FormationPlace,
-    NeighbourMotions,
     OdometryLike,
     PoseTarget,
     Vector3,
@@ -101,50 +97,6 @@ def link_lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
     if inputs.parent_age_s > config.stale_s:
         return True
     return config.estimator.pinned and inputs.leader_age_s > config.stale_s
-
-
-@inline_kernel
-def parent_and_leader(
-    inputs: AgentInputs,
-    estimate: Estimate,
-    motions: NeighbourMotions,
-    clock: Clock,
-    config: AgentConfig,
-) -> tuple[Neighbour, Neighbour]:
-    """The places of parent and leader now, for a follower that has received its parent's state."""
-    parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
-    leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
-    if config.association_gate_m > 0.0:
-        near, age_s = inputs.near, inputs.near_age_s
-        parent = associate(parent, near, age_s, config.association_gate_m)
-        leader = associate(leader, near, age_s, config.association_gate_m)
-    return parent, leader
-
-
-@inline_kernel
-def mission_behaviour(
-    inputs: AgentInputs,
-    estimate: Estimate,
-    motions: NeighbourMotions,
-    epoch: EpochErrors,
-    clock: Clock,
-    config: AgentConfig,
-    task: TaskGeometry | None,
-) -> Behaviour:
-    """Leader tracking for the leader, formation for a follower.
-
-    A follower that has not received its parent's state stays where it is. `task` is that of the user, where there
-    is one.
-    """
-    position = load3(inputs.own, 0)
-    if config.leader:
-        desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(sub3(position, config.leader_slot), desired, epoch, clock, config)
-    if inputs.parent_age_s >= NEVER_RECEIVED_S:
-        rest = Reference(position, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0))
-        return leader_tracking(position, rest, epoch, clock, config)
-    parent, leader = parent_and_leader(inputs, estimate, motions, clock, config)
-    return formation(position, parent, leader, epoch, clock, config, task)
 
 
 @inline_kernel

@@ -23,7 +23,18 @@ from ptnsbc_core.algebra import (
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation, velocity_enu
 from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
-from ptnsbc_core.types import NEVER_RECEIVED_S, Array, NeighbourMotion, OdometryLike, Vector3
+from ptnsbc_core.timebase import Clock
+from ptnsbc_core.types import (
+    NEVER_RECEIVED_S,
+    AgentConfig,
+    AgentInputs,
+    Array,
+    Estimate,
+    NeighbourMotion,
+    NeighbourMotions,
+    OdometryLike,
+    Vector3,
+)
 
 UNKNOWN = NeighbourMotion((0.0, 0.0, 0.0), -NEVER_RECEIVED_S, (0.0, 0.0, 0.0))
 """Nothing has been received."""
@@ -130,6 +141,24 @@ def associate(reported: Neighbour, near: Array, near_age_s: float, gate_m: float
             least = distance
             neighbour = Neighbour(position, velocity, reported.acceleration, reported.delay_s)
     return neighbour
+
+
+@inline_kernel
+def parent_and_leader(
+    inputs: AgentInputs,
+    estimate: Estimate,
+    motions: NeighbourMotions,
+    clock: Clock,
+    config: AgentConfig,
+) -> tuple[Neighbour, Neighbour]:
+    """The places of parent and leader now, for a follower that has received its parent's state."""
+    parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
+    leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
+    if config.association_gate_m > 0.0:
+        near, age_s = inputs.near, inputs.near_age_s
+        parent = associate(parent, near, age_s, config.association_gate_m)
+        leader = associate(leader, near, age_s, config.association_gate_m)
+    return parent, leader
 
 
 @kernel

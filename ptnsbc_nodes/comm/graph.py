@@ -9,7 +9,8 @@ from functools import cached_property
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Topic
-from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
+from ptnsbc_sim.disturbances.links import Link, link_of
+from ptnsbc_sim.disturbances.random_streams import ESTIMATE_LINK, STATE_LINK
 from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
 from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 
@@ -43,10 +44,8 @@ class Senders:
     peers: tuple[int, ...] = ()  # whose state is needed besides: by the law, or to see who is there
     several: SeveralParents | None = None  # the parents of a UAV with more than one
     every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
-    losses: MessageLoss | None = None  # which of their messages the scenario wants lost
-    delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
+    links: Mapping[tuple[int, int], Link] = field(default_factory=dict)  # by kind and sender
     faults: tuple[FaultBlock, ...] | None = None  # of the scenario; None: none can be injected
-    period_ns: int = 0  # control period
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -91,10 +90,12 @@ class CommunicationGraph:
             peers=peers,
             several=several_parents(scenario, uav_id),
             every_tick=scenario.formation.reconfigures,
-            losses=message_loss(scenario, uav_id),
-            delays={i: link_delay(scenario, i, uav_id) for i in others},
+            links={
+                (kind, i): link_of(scenario, kind, uav_id, i)
+                for kind in (STATE_LINK, ESTIMATE_LINK)
+                for i in others
+            },
             faults=scenario.faults,
-            period_ns=scenario.timing.dt_ns,
         )
 
     def of(self, scenario: Scenario) -> CommunicationGraph:

@@ -8,7 +8,7 @@ tick k that arrives before the tick does not replace the message of k-1. In real
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -31,19 +31,19 @@ from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETR
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
-from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
-from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
+from ptnsbc_sim.disturbances.faults import MessageFault, message_fault
+from ptnsbc_sim.disturbances.links import Link
+from ptnsbc_sim.disturbances.random_streams import ESTIMATE_LINK, STATE_LINK
 from ptnsbc_sim.plugins.uav_plugins import Heard
 from ptnsbc_sim.scenario.mission.fault_rules import MOST_DELAY_S, FaultBlock
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
 
-_IsLost = Callable[[int, int, Sequence[MessageFault]], bool]
-"""Tells whether a message is lost, by sender, stamp [ns] and the faults of messages."""
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 # In lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed.
 _QUEUE_LENGTH = LEAD_TICKS + 2
+_PERFECT = Link()
 
 
 class MessageQueue:
@@ -52,20 +52,13 @@ class MessageQueue:
     A message that the scenario wants late has arrived, but it does not count before its time.
     """
 
-    __slots__ = ("_delay_ns", "_faults", "_is_lost", "_messages", "_sender", "newest_ns")
+    __slots__ = ("_faults", "_link", "_messages", "newest_ns")
 
-    def __init__(
-        self,
-        delay: LinkDelay = NO_DELAY,
-        sender: int = 0,
-        faults: Sequence[MessageFault] = (),
-        fault_ticks: int = 0,
-        is_lost: _IsLost | None = None,
-    ) -> None:
-        """`faults` may add to the delay of this sender's messages, by at most `fault_ticks` control periods."""
-        self._delay_ns, self._sender = delay.ns, sender
-        self._faults, self._is_lost = faults, is_lost
-        length = _QUEUE_LENGTH + delay.ticks + fault_ticks
+    def __init__(self, link: Link = _PERFECT, faults: Sequence[MessageFault] | None = None) -> None:
+        """`faults`: those of messages, as they come; None where there will be none."""
+        self._link, self._faults = link, () if faults is None else faults
+        most_ns = link.delay_ns + (0 if faults is None else nanoseconds(MOST_DELAY_S))
+        length = _QUEUE_LENGTH - (-most_ns // link.period_ns)
         self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
         self.newest_ns = -1  # stamp of the newest message, lost or not
 
@@ -75,7 +68,7 @@ class MessageQueue:
         A message that the scenario wants lost has still arrived: lock-step does not wait for it.
         """
         stamp_ns = self.newest_ns = message.stamp_ns
-        if self._is_lost is None or not self._is_lost(self._sender, stamp_ns, self._faults):
+        if not self._link.loses(stamp_ns, self._faults):
             self._messages.appendleft(message)
 
     def miss(self, stamp_ns: int) -> None:
@@ -84,15 +77,14 @@ class MessageQueue:
 
     def before(self, cutoff_ns: int, now_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns] that has its delay behind it at `now_ns` [ns]."""
-        if self._delay_ns:
-            cutoff_ns = min(cutoff_ns, now_ns - self._delay_ns + 1)
+        late = self._link.delay_ns > 0 or self._faults
         for message in self._messages:
             if message.stamp_ns >= cutoff_ns:
                 continue
-            if self._faults:  # one may keep the message from having arrived
-                added_ns = delay_ns(self._faults, self._sender, message.stamp_ns)
-                if added_ns > 0 and message.stamp_ns > now_ns - self._delay_ns - added_ns:
-                    continue
+            if late:
+                late_ns = self._link.late_ns(message.stamp_ns, self._faults)
+                if late_ns > 0 and message.stamp_ns > now_ns - late_ns:
+                    continue  # it has not arrived yet
             return message
         return None
 
@@ -109,19 +101,14 @@ class Inbox:
         self._faults: list[MessageFault] = []
         self._restarts: list[MessageFault] = []
         self._lost: set[int] = set()
-        losses, faulty = senders.losses, senders.faults is not None
-        # A fault adds MOST_DELAY_S at most.
-        most = nanoseconds(MOST_DELAY_S) // max(senders.period_ns, 1) if faulty else 0
+        faults = None if senders.faults is None else self._faults
 
-        def queue(sender: int, is_lost: _IsLost | None) -> MessageQueue:
-            delay, faults = senders.delays.get(sender, NO_DELAY), self._faults if faulty else ()
-            return MessageQueue(delay, sender, faults, most, is_lost)
+        def queue(kind: int, sender: int) -> MessageQueue:
+            return MessageQueue(senders.links.get((kind, sender), _PERFECT), faults)
 
-        state_lost = None if losses is None else losses.state
-        estimate_lost = None if losses is None else losses.estimate
         # Of every sender that may be used, by UAV.
-        self.state_queues = {i: queue(i, state_lost) for i in senders.heard_states}
-        self.estimate_queues = {i: queue(i, estimate_lost) for i in senders.heard_estimators}
+        self.state_queues = {i: queue(STATE_LINK, i) for i in senders.heard_states}
+        self.estimate_queues = {i: queue(ESTIMATE_LINK, i) for i in senders.heard_estimators}
         self.listen_to(senders)
 
     def begin(self, t0_ns: int) -> None:

@@ -1,12 +1,8 @@
-"""Injected faults as a flight feels them: messages that get lost or come late, positions that jump, UAVs that end.
-
-Sender and receiver need not agree on anything: what becomes of a message follows from the fault, its stamp and the
-seed. A headless flight takes whole tables, a process asks for one message at a time; both get the same answers.
-"""
+"""Injected faults as a flight feels them: messages that get lost or come late, positions that jump, UAVs that end."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +11,6 @@ from numpy.typing import NDArray
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_core.types import Array
-from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, FaultBlock
 
@@ -38,6 +33,11 @@ class MessageFault(NamedTuple):
         """True if a message of this stamp [ns] is concerned."""
         return self.start_ns <= stamp_ns < self.end_ns
 
+    def span(self, ticks: int, period_ns: int) -> slice:
+        """Those of the first ticks whose messages are concerned."""
+        first = min(-(-self.start_ns // period_ns), ticks)
+        return slice(first, min(-(-self.end_ns // period_ns), ticks))
+
 
 def message_fault(fault: FaultBlock, number: int, t0_ns: int) -> MessageFault | None:
     """A fault of messages whose mission begins at `t0_ns`; None for any other fault."""
@@ -59,75 +59,6 @@ def message_faults(scenario: Scenario, t0_ns: int = 0) -> tuple[MessageFault, ..
     """The faults of messages of a scenario whose first epoch is `t0_ns`."""
     found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults or ()))
     return tuple(one for one in found if one is not None)
-
-
-class FaultyLink(NamedTuple):
-    """One kind of message on its way from one UAV to another, among faults."""
-
-    seed: int
-    kind: int  # random_streams.STATE_LINK or ESTIMATE_LINK
-    receiver: int
-    sender: int
-    period_ns: int
-
-    def _address(self, fault: MessageFault) -> random_streams.Address:
-        return (
-            self.seed,
-            random_streams.FAULT,
-            fault.number,
-            self.kind,
-            self.receiver,
-            self.sender,
-        )
-
-    def loses(self, faults: Sequence[MessageFault], stamp_ns: int) -> bool:
-        """True if a message of this stamp is lost."""
-        return any(
-            fault.sender == self.sender
-            and fault.holds(stamp_ns)
-            and (
-                fault.loss >= 1.0
-                or random_streams.uniform(self._address(fault), max(stamp_ns, 0) // self.period_ns)
-                < fault.loss
-            )
-            for fault in faults
-        )
-
-    def losses(self, faults: Sequence[MessageFault], ticks: int) -> NDArray[np.bool_]:
-        """True if the message of each tick (ticks,) is lost."""
-        lost = np.zeros(ticks, dtype=np.bool_)
-        for fault in faults:
-            if fault.sender == self.sender and fault.loss > 0.0:
-                span = _span(fault, ticks, self.period_ns)
-                if fault.loss >= 1.0:
-                    lost[span] = True
-                else:
-                    numbers = random_streams.uniform_below(self._address(fault), ticks, fault.loss)
-                    lost[span] |= numbers[span]
-        return lost
-
-
-def delay_ns(faults: Sequence[MessageFault], sender: int, stamp_ns: int) -> int:
-    """The delay [ns] that faults add to a message of this stamp."""
-    return sum(
-        fault.delay_ns for fault in faults if fault.sender == sender and fault.holds(stamp_ns)
-    )
-
-
-def delays_ns(
-    faults: Sequence[MessageFault], sender: int, ticks: int, period_ns: int
-) -> NDArray[np.int64]:
-    """The same for the message of each tick (ticks,)."""
-    found = np.zeros(ticks, dtype=np.int64)
-    for fault in faults:
-        if fault.sender == sender and fault.delay_ns:
-            found[_span(fault, ticks, period_ns)] += fault.delay_ns
-    return found
-
-
-def _span(fault: MessageFault, ticks: int, period_ns: int) -> slice:
-    first = min(-(-fault.start_ns // period_ns), ticks)
-    return slice(first, min(-(-fault.end_ns // period_ns), ticks))
 
 
 def strikes(fault: FaultBlock, kind: str, uav_id: int, now_ns: int, t0_ns: int = 0) -> bool:

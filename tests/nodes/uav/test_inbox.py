@@ -9,7 +9,8 @@ from ptnsbc_core.types import MODE_HOLD, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, MessageQueue
-from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss
+from ptnsbc_sim.disturbances.links import Link
+from ptnsbc_sim.disturbances.random_streams import ESTIMATE_LINK, STATE_LINK
 
 PERIOD = 10_000_000
 NEAR_EVERY = 5
@@ -22,6 +23,10 @@ def message(tick: int, value: float = 0.0, size: int = 13) -> Stamped:
 
 def near(tick: int) -> Stamped:
     return Stamped(tick * PERIOD, np.ones((2, 7)))
+
+
+def link(delay_ns: int) -> Link:
+    return Link(delay_ns=delay_ns, period_ns=PERIOD)
 
 
 def hear_all(inbox: Inbox, tick: int) -> None:
@@ -122,7 +127,7 @@ def test_the_leader_needs_nobody():
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
     inputs = inputs_of(inbox, 7 * PERIOD, 7 * PERIOD)
     assert inputs.estimates.shape == (0, 13)
-    assert not inputs.parent.any()
+    assert not any(inputs.parent)
 
 
 def test_tick_zero_needs_no_neighbours():
@@ -176,14 +181,13 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
 
 
 def test_lost_messages_are_not_heard_and_not_waited_for():
-    class Half(MessageLoss):
-        def state(self, sender, stamp_ns, faults=()):
-            return stamp_ns // PERIOD >= 4
+    class Half(Link):
+        def loses(self, stamp_ns, faults=()):
+            return stamp_ns // PERIOD >= 4 if self.kind == STATE_LINK else self.sender == 4
 
-        def estimate(self, sender, stamp_ns, faults=()):
-            return sender == 4
-
-    inbox = Inbox(replace(FOLLOWER, losses=Half(1, {}, 3, PERIOD)))
+    kinds = STATE_LINK, ESTIMATE_LINK
+    links = {(kind, i): Half(i, 3, kind) for kind in kinds for i in (1, 2, 4)}
+    inbox = Inbox(replace(FOLLOWER, links=links))
     for tick in range(40):
         hear_all(inbox, tick)
     inbox.own, inbox.near = message(40), near(40)
@@ -198,8 +202,8 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
     ("delay_ns", "ticks"), [(1, 1), (PERIOD, 1), (PERIOD + 1, 2), (15 * PERIOD, 15)]
 )
 def test_late_messages_are_waited_for_and_count_later(delay_ns, ticks):
-    delay = LinkDelay(delay_ns, ticks)
-    inbox = Inbox(replace(FOLLOWER, delays={2: delay}))
+    late = {(STATE_LINK, 2), (ESTIMATE_LINK, 2)}
+    inbox = Inbox(replace(FOLLOWER, links=dict.fromkeys(late, link(delay_ns))))
     for tick in range(40):
         hear_all(inbox, tick)
     for tick in range(40, 40 + LEAD_TICKS):  # these overtook our tick 40
@@ -214,7 +218,8 @@ def test_late_messages_are_waited_for_and_count_later(delay_ns, ticks):
 
 
 def test_in_real_time_a_late_message_counts_to_the_nanosecond():
-    inbox = Inbox(replace(FOLLOWER, delays=dict.fromkeys((1, 2, 4), LinkDelay(25_000_000, 3))))
+    every = [(kind, i) for kind in (STATE_LINK, ESTIMATE_LINK) for i in (1, 2, 4)]
+    inbox = Inbox(replace(FOLLOWER, links=dict.fromkeys(every, link(25_000_000))))
     for tick in range(40):
         hear_all(inbox, tick)
     inbox.own = message(39)

@@ -8,7 +8,8 @@ import pytest
 
 from ptnsbc_core.agent import HOLDING, Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
-from ptnsbc_sim.disturbances.links import MessageLoss, last_received, link_delay, message_loss
+from ptnsbc_sim.disturbances.links import Link, last_received, link_of
+from ptnsbc_sim.disturbances.random_streams import ESTIMATE_LINK, STATE_LINK
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.world import World
@@ -58,14 +59,12 @@ def test_where_nothing_is_left_to_chance_the_seed_does_not_matter() -> None:
 
 def received(scenario: Scenario, uav: int, tick: int, sent: int | None, estimate: bool) -> int:
     """Tick of the newest message that got through, as a UAV node finds it; -1: none."""
-    lost = message_loss(scenario, uav)
-    assert lost is not None
     if sent is None:
         return -1
-    told, delay_ns = lost.estimate if estimate else lost.state, link_delay(scenario, sent, uav).ns
+    link = link_of(scenario, ESTIMATE_LINK if estimate else STATE_LINK, uav, sent)
     for before in range(tick - 1, -1, -1):
-        in_time = (tick - before) * scenario.timing.dt_ns >= delay_ns
-        if in_time and not told(sent, before * scenario.timing.dt_ns):
+        in_time = (tick - before) * scenario.timing.dt_ns >= link.delay_ns
+        if in_time and not link.loses(before * scenario.timing.dt_ns):
             return before
     return -1
 
@@ -154,7 +153,6 @@ def test_as_many_messages_are_lost_as_asked_for_and_a_child_of_the_leader_hears_
     row = scenario.uav_ids.index(3)  # its parent is the leader
     np.testing.assert_array_equal(heard[:, row, 0], heard[:, row, 1])
     assert (heard[0] == -1).all()
-    assert message_loss(load_scenario("paper_5"), 2) is None
 
 
 @pytest.mark.parametrize(
@@ -178,19 +176,19 @@ def test_a_link_has_a_loss_and_a_delay_of_its_own() -> None:
     assert scenario.communication.link(2, 3) == (0.0, 0.1)
     assert scenario.communication.link(3, 2) == (0.5, 0.0)
     assert scenario.communication.link(1, 2) == (0.0, 0.0)
-    assert message_loss(scenario, 3) is None
-    lost = message_loss(scenario, 2)
-    assert lost is not None
-    assert not any(lost.state(1, tick * scenario.timing.dt_ns) for tick in range(200))
-    assert link_delay(scenario, 2, 3) == (100_000_000, 10)
+    from_leader = link_of(scenario, STATE_LINK, 2, 1)
+    assert not any(from_leader.loses(tick * scenario.timing.dt_ns) for tick in range(200))
+    assert link_of(scenario, STATE_LINK, 3, 2).late_ns(0) == 100_000_000
 
 
 def test_both_directions_of_a_link_lose_on_their_own() -> None:
-    there, back = MessageLoss(1, {3: 0.5}, 2, 10), MessageLoss(1, {2: 0.5}, 3, 10)
+    there, back = (
+        Link(sender, 5 - sender, ESTIMATE_LINK, seed=1, loss=0.5, period_ns=10) for sender in (3, 2)
+    )
     stamps = range(0, 20_000, 10)
-    one = [there.estimate(3, stamp) for stamp in stamps]
-    other = [back.estimate(2, stamp) for stamp in stamps]
-    state = [there.state(3, stamp) for stamp in stamps]
+    one = [there.loses(stamp) for stamp in stamps]
+    other = [back.loses(stamp) for stamp in stamps]
+    state = [there._replace(kind=STATE_LINK).loses(stamp) for stamp in stamps]
     for a, b in ((one, other), (one, state)):
         assert 0.4 < np.mean(np.array(a) == np.array(b)) < 0.6
 

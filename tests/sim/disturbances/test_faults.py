@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.agent import HOLDING
-from ptnsbc_sim.disturbances.faults import FaultyLink, delay_ns, delays_ns, message_faults
-from ptnsbc_sim.disturbances.links import last_state_received
+from ptnsbc_sim.disturbances.faults import message_faults
+from ptnsbc_sim.disturbances.links import last_state_received, link_of
 from ptnsbc_sim.disturbances.random_streams import STATE_LINK
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
@@ -30,26 +30,26 @@ def scenario(faults, seconds=3.0, **changes):
 
 def test_tables_and_single_messages_agree():
     one = scenario(MANY)
-    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.timing.dt_ns), message_faults(one)
-    lost = link.losses(faults, one.timing.ticks)
+    link, faults = link_of(one, STATE_LINK, 3, 2), message_faults(one)
+    lost = link.losses(one.timing.ticks, faults)
     stamps = one.timing.dt_ns * np.arange(one.timing.ticks)
-    assert lost.tolist() == [link.loses(faults, int(stamp)) for stamp in stamps]
-    late = delays_ns(faults, 2, one.timing.ticks, one.timing.dt_ns)
-    assert late.tolist() == [delay_ns(faults, 2, int(stamp)) for stamp in stamps]
+    assert lost.tolist() == [link.loses(int(stamp), faults) for stamp in stamps]
+    late = link.delays_ns(one.timing.ticks, faults)
+    assert late.tolist() == [link.late_ns(int(stamp), faults) for stamp in stamps]
     share = lost[100:150].mean(), lost[150:200].mean()
     assert 0.2 < share[0] < 0.6 < share[1] + 0.15, "two losses at once lose 0.64"
 
 
 def test_what_is_received_is_the_newest_that_has_arrived():
     one = scenario(MANY, **{"communication.delay_s": 0.02})
-    link, faults = FaultyLink(one.seed, STATE_LINK, 3, 2, one.timing.dt_ns), message_faults(one)
+    link, faults = link_of(one, STATE_LINK, 3, 2), message_faults(one)
     received = last_state_received(one, 3, 2)
     for tick in range(one.timing.ticks):
         arrived = [
             sent
             for sent in range(tick)
-            if not link.loses(faults, sent * one.timing.dt_ns)
-            and sent * one.timing.dt_ns + 20_000_000 + delay_ns(faults, 2, sent * one.timing.dt_ns)
+            if not link.loses(sent * one.timing.dt_ns, faults)
+            and sent * one.timing.dt_ns + link.late_ns(sent * one.timing.dt_ns, faults)
             <= tick * one.timing.dt_ns
         ]
         assert received[tick] == max(arrived, default=-1)
