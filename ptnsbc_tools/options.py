@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import typer
 from typer.core import TyperGroup
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.table import TaskName
-from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S
+from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S, refuse_outside
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
-    from ptnsbc_tools.reading.bag_reader import ReadOptions
 
 SWEEPS = Path("out") / "sweeps"  # each sweep has a folder of its name here, unless -o says where
 LAST_DOMAIN = 232  # of the middleware: a fleet that flies may be in any
 HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
-ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
+UAV = "{n}"  # in names of topics: stands for the id of the UAV
 
 
 def option(
@@ -246,14 +246,23 @@ class FlightChoices(Choices):
             raise ScenarioError(f"{self.mission}: mission.{rest}") from None
 
 
+class TopicPatternError(PtnsbcError):
+    """A pattern without the id of the UAV."""
+
+
 @dataclass(frozen=True)
-class Reading:
-    """Options of reading and judging a bag."""
+class ReadOptions:
+    """Options of reading and judging a bag.
+
+    Raises:
+        LimitError: a time that no bag reaches.
+        TopicPatternError: a name of topics without {n}.
+    """
 
     scenario: Annotated[
         Path | None, option("--scenario FILE", "Use this file and not the attached scenario.")
     ] = None
-    tolerance: Annotated[
+    tolerance_m: Annotated[
         float | None,
         option(
             "--tolerance M",
@@ -261,7 +270,7 @@ class Reading:
             1e-6,
         ),
     ] = None
-    window: Annotated[
+    window_s: Annotated[
         float | None,
         option(
             "--window S",
@@ -270,11 +279,13 @@ class Reading:
             LONGEST_S,
         ),
     ] = None
-    odom: Annotated[str, option("--odom TOPIC", "Odometry; {n} is the id of the UAV.")] = ODOM
-    wrench: Annotated[str, option("--wrench TOPIC", "WrenchStamped, where it is recorded.")] = (
-        WRENCH
+    odom: Annotated[str, option("--odom TOPIC", "Odometry; {n} is the id of the UAV.")] = (
+        "/uav{n}/odom"
     )
-    epoch: Annotated[
+    wrench: Annotated[str, option("--wrench TOPIC", "WrenchStamped, where it is recorded.")] = (
+        "/uav{n}/setpoint/wrench"
+    )
+    epoch_s: Annotated[
         float | None,
         option(
             "--epoch S",
@@ -284,12 +295,19 @@ class Reading:
         ),
     ] = None
 
-    def options(self) -> ReadOptions:
-        """The same for the reader of bags."""
-        from ptnsbc_tools.reading.bag_reader import ReadOptions, TopicNames
+    def __post_init__(self) -> None:
+        refuse_outside("window_s", self.window_s, SHORTEST_WINDOW_S)
+        refuse_outside("epoch_s", self.epoch_s)
+        for name in ("odom", "wrench"):
+            pattern = getattr(self, name)
+            if UAV not in pattern:
+                raise TopicPatternError(
+                    f"--{name} {pattern!r}: expected {UAV} for the id of the UAV, like /drone{UAV}/odom"
+                )
 
-        names = TopicNames(odom=self.odom, wrench=self.wrench)
-        return ReadOptions(self.scenario, self.tolerance, self.window, self.epoch, names)
+
+AS_RECORDED = ReadOptions()
+"""Of a bag of ours, judged as its scenario says."""
 
 
 def scenario_with(name: str, given: dict[str, Any]) -> Scenario:

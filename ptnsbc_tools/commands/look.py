@@ -11,7 +11,14 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
-from ptnsbc_tools.options import BagArgument, JsonOption, PictureOption, Reading, argument, option
+from ptnsbc_tools.options import (
+    BagArgument,
+    JsonOption,
+    PictureOption,
+    ReadOptions,
+    argument,
+    option,
+)
 
 _NO_VERDICT = 1
 _ALL = "all"
@@ -27,7 +34,7 @@ class NoCloneError(PtnsbcError):
 
 
 def verify(
-    bag: BagArgument, reading: Reading, picture: PictureOption = None, json: JsonOption = False
+    bag: BagArgument, reading: ReadOptions, picture: PictureOption = None, json: JsonOption = False
 ) -> None:
     """Judge a recorded flight: met, missed, violated or void, with input, energy and separations.
 
@@ -40,7 +47,7 @@ def verify(
     from ptnsbc_tools.library.flight import flight_in
     from ptnsbc_tools.tables import show_verdict
 
-    flight = flight_in(bag, reading.options())
+    flight = flight_in(bag, reading)
     verdict = flight.verdict
     drawn = None if picture is None else flight.save_picture(picture)
     show_verdict(verdict, json=json, picture=drawn)
@@ -49,7 +56,7 @@ def verify(
 
 def report(
     bag: BagArgument,
-    reading: Reading,
+    reading: ReadOptions,
     out: Annotated[
         Path | None,
         option("--output -o DIR", "Folder for the page. Default: BAG-report beside the bag."),
@@ -72,7 +79,7 @@ def report(
 
     with console.patience(f"reading {bag}"):
         made = reporting.report(
-            bag, out, other=other, options=reading.options(), pictures=pictures, progress=True
+            bag, out, other=other, options=reading, pictures=pictures, progress=True
         )
     if json:
         pictures_made = [str(picture) for picture in made.pictures]
@@ -87,7 +94,7 @@ def report(
 
 def plot(
     bag: BagArgument,
-    reading: Reading,
+    reading: ReadOptions,
     out: Annotated[
         Path | None,
         option(
@@ -126,7 +133,7 @@ def plot(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
     with console.patience(f"reading {bag}"):
-        shown = flight_in(bag, reading.options()).view
+        shown = flight_in(bag, reading).view
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or _beside(bag, "-figures")
@@ -169,7 +176,7 @@ def _keys(what: str) -> list[str]:
 
 def export(
     source: Annotated[Path, argument("BAG", "A bag, or the folder of a sweep.")],
-    reading: Reading,
+    reading: ReadOptions,
     output: Annotated[
         Path | None,
         option("--output -o FILE", "FILE.csv or FILE.parquet. Default: BAG.csv beside the bag."),
@@ -192,7 +199,7 @@ def export(
 
             reporting.export(open_sweep(source), path)
         else:
-            reporting.export(flight_in(source, reading.options()), path)
+            reporting.export(flight_in(source, reading), path)
     console.show(str(path))
 
 

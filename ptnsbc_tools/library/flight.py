@@ -20,15 +20,10 @@ from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
 from ptnsbc_tools import ros
+from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView, view_of
 from ptnsbc_tools.plotting.draw import draw_chart, draw_flight, draw_paths
-from ptnsbc_tools.reading.bag_reader import (
-    DEFAULTS,
-    ReadOptions,
-    StatusSeries,
-    read_recording,
-    read_status,
-)
+from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording, read_status
 
 if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight
@@ -307,6 +302,6 @@ def new_axes() -> Any:
     return pyplot.subplots(layout="constrained")[1]
 
 
-def flight_in(bag: Path, options: ReadOptions = DEFAULTS) -> Flight:
+def flight_in(bag: Path, options: ReadOptions = AS_RECORDED) -> Flight:
     """The flight in a bag; BagError when there is none, or it is cut, damaged, or without a scenario."""
-    return Flight(read_recording(bag, options), options.tolerance, bag)
+    return Flight(read_recording(bag, options), options.tolerance_m, bag)

@@ -19,7 +19,8 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
-from ptnsbc_tools.reading.bag_reader import OUR_TOPICS, ReadOptions, TopicNames, read_status
+from ptnsbc_tools.options import AS_RECORDED, ReadOptions
+from ptnsbc_tools.reading.bag_reader import read_status
 
 DRY_RUNS = 20
 
@@ -138,8 +139,8 @@ def read_bag(
     tolerance_m: float | None = None,
     window_s: float | None = None,
     epoch_s: float | None = None,
-    odom: str = OUR_TOPICS.odom,
-    wrench: str = OUR_TOPICS.wrench,
+    odom: str = AS_RECORDED.odom,
+    wrench: str = AS_RECORDED.wrench,
 ) -> Flight:
     """The flight in a bag, of ours or of another program.
 
@@ -156,9 +157,9 @@ def read_bag(
         BagError: no bag, cut, damaged, or without a scenario.
         LimitError: a window or an epoch that no bag reaches.
     """
-    names = TopicNames(odom=odom, wrench=wrench)
     given = None if scenario is None else Path(scenario)
-    return flight_in(Path(path), ReadOptions(given, tolerance_m, window_s, epoch_s, names))
+    options = ReadOptions(given, tolerance_m, window_s, odom, wrench, epoch_s)
+    return flight_in(Path(path), options)
 
 
 def verdict(flight: Flight, tolerance_m: float | None = None) -> Verdict:

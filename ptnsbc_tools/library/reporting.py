@@ -15,9 +15,9 @@ from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, flight_in
+from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView
-from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
@@ -51,7 +51,7 @@ def report(
     folder: str | Path | None = None,
     *,
     other: Flight | str | Path | None = None,
-    options: ReadOptions = DEFAULTS,
+    options: ReadOptions = AS_RECORDED,
     pictures: bool = True,
     progress: bool | None = None,
 ) -> Report:

@@ -32,16 +32,16 @@ from ptnsbc_io.wire import (
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import DecidedSlots, keep_recorded
+from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
-from ptnsbc_tools.limits import SHORTEST_WINDOW_S, refuse_outside
+from ptnsbc_tools.options import AS_RECORDED, UAV, ReadOptions
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
-_UAV = "{n}"
 _PLANNER = re.compile(r"uav([0-9]{1,3}): planner")
 _LINK = re.compile(r"bridge([0-9]{1,3}): link")
 _STATES_SENT = re.compile(r"([0-9]{1,19}) ([1-9][0-9]{0,14})")  # stamp [ns], number of messages
@@ -54,36 +54,6 @@ _TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
 _PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
 _SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
-
-
-class TopicPatternError(PtnsbcError):
-    """A pattern without the id of the UAV."""
-
-
-@dataclass(frozen=True)
-class TopicNames:
-    """Names of topics; `{n}` stands for the id of the UAV."""
-
-    odom: str = "/uav{n}/odom"
-    wrench: str = "/uav{n}/setpoint/wrench"
-    estimate: str = "/uav{n}/leader_estimate"
-    truth: str = "/uav{n}/truth"
-
-    def __post_init__(self) -> None:
-        for option, pattern in vars(self).items():
-            if _UAV not in pattern:
-                raise TopicPatternError(
-                    f"--{option} {pattern!r}: expected {_UAV} for the id of the UAV, "
-                    f"like /drone{_UAV}/odom"
-                )
-
-    @staticmethod
-    def of(pattern: str, uav: int) -> str:
-        """The topic of one UAV."""
-        return pattern.replace(_UAV, str(uav))
-
-
-OUR_TOPICS = TopicNames()
 
 
 class _RosbagsBag(Bag):
@@ -154,18 +124,18 @@ def scenario_of(bag: Bag, given: Path | None) -> Scenario:
     return scenario_from_text(text, source=source, complete=True)
 
 
-def check_types(bag: Bag, names: TopicNames, scenario: Scenario) -> None:
-    """Raise BagError when a topic has another type than the expected one."""
-    expected = {
-        names.odom: "nav_msgs/msg/Odometry",
-        names.wrench: "geometry_msgs/msg/WrenchStamped",
-        names.estimate: "nav_msgs/msg/Odometry",
+def _topics_of(uav: int, options: ReadOptions) -> dict[str, Topic]:
+    """The topics of a UAV, by the field of `Recording` that their messages go to."""
+
+    def named(topic: Topic, pattern: str) -> Topic:
+        return topic._replace(name=pattern.replace(UAV, str(uav)))
+
+    return {
+        "odometry": named(topics.odom(uav), options.odom),
+        "wrench": named(topics.wrench_setpoint(uav), options.wrench),
+        "estimate": topics.leader_estimate(uav),
+        "truth": topics.truth(uav),
     }
-    for pattern, wanted in expected.items():
-        for uav in scenario.uav_ids:
-            topic = bag.topics.get(names.of(pattern, uav))
-            if topic is not None and topic.messages and topic.type != wanted:
-                raise BagError(f"{bag.path}: {topic.name} is {topic.type}: expected {wanted}")
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:
@@ -272,51 +242,25 @@ def read_status(path: Path) -> StatusSeries:
     return collector.series()
 
 
-@dataclass(frozen=True)
-class ReadOptions:
-    """The options with which a bag is read and judged.
-
-    Args:
-        scenario: scenario file to use instead of the attached one.
-        tolerance: limit of the error at the deadline [m], by default that of the scenario.
-        window_s: judge only the first seconds of each leg.
-        epoch_s: epoch of the formation leg after the first odometry, for bags without epochs.
-        names: names of the topics.
-
-    Raises:
-        LimitError: a time that no bag reaches.
-    """
-
-    scenario: Path | None = None
-    tolerance: float | None = None
-    window_s: float | None = None
-    epoch_s: float | None = None
-    names: TopicNames = OUR_TOPICS
-
-    def __post_init__(self) -> None:
-        refuse_outside("window_s", self.window_s, SHORTEST_WINDOW_S)
-        refuse_outside("epoch_s", self.epoch_s)
-
-
-DEFAULTS = ReadOptions()
-
-
 class _Collector:
     """Decodes the messages of a bag one by one and sorts them by topic."""
 
-    def __init__(self, names: TopicNames, scenario: Scenario) -> None:
+    def __init__(self, bag: Bag, options: ReadOptions, scenario: Scenario) -> None:
         self.epochs: set[tuple[int, str]] = set()
         self.taken: list[Stamped] = []
         self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
-        self._names, self._uavs = names, scenario.uav_ids
+        self._topics = {uav: _topics_of(uav, options) for uav in scenario.uav_ids}
         self._samples = TrackWriters[str](file)
         self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
-        for uav in scenario.uav_ids:
-            for pattern in (names.odom, names.estimate, names.truth):
-                self._decoders[names.of(pattern, uav)] = decode_odometry
-            self._decoders[names.of(names.wrench, uav)] = decode_wrench
+        for of_uav in self._topics.values():
+            for goes_to, topic in of_uav.items():
+                decode = decode_wrench if goes_to == "wrench" else decode_odometry
+                self._decoders[topic.name] = decode
+                held = bag.topics.get(topic.name)
+                if held is not None and held.messages and held.type != topic.type:
+                    raise BagError(f"{bag.path}: {held.name} is {held.type}: expected {topic.type}")
 
     def collect(self, bag: Bag) -> None:
         common = (topics.EPOCH, topics.SLOTS, topics.TAKEN, topics.DIAGNOSTICS)
@@ -343,24 +287,23 @@ class _Collector:
             sample = self._decoders[topic](data)
             self._samples.add(topic, sample.stamp_ns, sample.values, message.stamp_ns)
 
-    def tracks(self, pattern: str) -> dict[int, Track]:
-        """The recorded tracks of one topic by UAV."""
-        topics_of = {uav: self._names.of(pattern, uav) for uav in self._uavs}
-        return {uav: self._tracks[name] for uav, name in topics_of.items() if name in self._tracks}
+    def tracks(self, field: str) -> dict[int, Track]:
+        """The recorded tracks of one field of `Recording` by UAV."""
+        names = {uav: of_uav[field].name for uav, of_uav in self._topics.items()}
+        return {uav: self._tracks[name] for uav, name in names.items() if name in self._tracks}
 
 
-def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
+def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
     """Everything that the verdict needs from a bag (its folder, or an .mcap file), whoever recorded it.
 
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
     """
-    names, bag = options.names, open_bag(path)
+    bag = open_bag(path)
     scenario = scenario_of(bag, options.scenario)
-    check_types(bag, names, scenario)
-    collector = _Collector(names, scenario)
+    collector = _Collector(bag, options, scenario)
     collector.collect(bag)
-    odometry = collector.tracks(names.odom)
+    odometry = collector.tracks("odometry")
     epochs = tuple(sorted(collector.epochs))
     slots = {t0_ns: found for t0_ns, _ in epochs if (found := collector.slots.of(t0_ns))}
     if options.epoch_s is not None and odometry:
@@ -371,9 +314,9 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
     return Recording(
         scenario=scenario,
         odometry=odometry,
-        wrench=collector.tracks(names.wrench),
-        estimate=collector.tracks(names.estimate),
-        truth=collector.tracks(names.truth),
+        wrench=collector.tracks("wrench"),
+        estimate=collector.tracks("estimate"),
+        truth=collector.tracks("truth"),
         counters=collector.counters.counters.tracks(),
         sent=collector.counters.sent.tracks(),
         epochs=with_landing(scenario, epochs),

@@ -28,11 +28,9 @@ from ptnsbc_io.wire import (
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_tools.options import ReadOptions, TopicPatternError
 from ptnsbc_tools.reading.bag_reader import (
     DiagnosticCounters,
-    ReadOptions,
-    TopicNames,
-    TopicPatternError,
     read_recording,
 )
 from ptnsbc_tools.reading.disk_track import SampleFile
@@ -238,7 +236,7 @@ STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 PLUGIN = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}
 LATE_S = 1.5  # the epoch, after the first message
 WALL_NS = 1_700_000_000_000_000_000
-DRONES = TopicNames(odom="/drone{n}/odom", wrench="/drone{n}/nothing", estimate="/drone{n}/nothing")
+DRONES = {"odom": "/drone{n}/odom", "wrench": "/drone{n}/nothing"}
 
 
 @pytest.fixture
@@ -282,7 +280,7 @@ def record(path: Path, flown, plugin: str, *, stamped: bool = True, compress: st
 @pytest.mark.parametrize("stamped", [True, False])
 def test_the_same_verdict(flown, scenario_file, tmp_path, plugin, stamped):
     bag = record(tmp_path / "bag", flown, plugin, stamped=stamped)
-    found = verdict_on(read_recording(bag, ReadOptions(scenario_file, names=DRONES)))
+    found = verdict_on(read_recording(bag, ReadOptions(scenario_file, **DRONES)))
     expected = verdict_on(flown)
     assert found.verdict == expected.verdict == "met"
     for one, other in zip(found.uavs, expected.uavs, strict=True):
@@ -295,16 +293,12 @@ def test_the_same_verdict(flown, scenario_file, tmp_path, plugin, stamped):
 @pytest.mark.parametrize(("plugin", "mode"), [("sqlite3", "MESSAGE"), ("sqlite3", "FILE")])
 def test_compressed_by_rosbag2(flown, scenario_file, tmp_path, plugin, mode):
     bag = record(tmp_path / "bag", flown, plugin, compress=mode)
-    assert (
-        verdict_on(read_recording(bag, ReadOptions(scenario_file, names=DRONES))).verdict == "met"
-    )
+    assert verdict_on(read_recording(bag, ReadOptions(scenario_file, **DRONES))).verdict == "met"
 
 
 def test_epoch_of_a_bag_without_one(flown, scenario_file, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
-    found = verdict_on(
-        read_recording(bag, ReadOptions(scenario_file, epoch_s=LATE_S, names=DRONES))
-    )
+    found = verdict_on(read_recording(bag, ReadOptions(scenario_file, epoch_s=LATE_S, **DRONES)))
     assert found.epoch_s == pytest.approx(WALL_NS * 1e-9 + LATE_S)
     assert found.uavs[2].settling_s == pytest.approx(4.0 - LATE_S)
 
@@ -312,21 +306,19 @@ def test_epoch_of_a_bag_without_one(flown, scenario_file, tmp_path):
 def test_sqlite_file_stands_for_its_folder(flown, scenario_file, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
     (file,) = bag.glob("*.db3")
-    assert (
-        verdict_on(read_recording(file, ReadOptions(scenario_file, names=DRONES))).verdict == "met"
-    )
+    assert verdict_on(read_recording(file, ReadOptions(scenario_file, **DRONES))).verdict == "met"
 
 
 @pytest.mark.parametrize("pattern", ["/odom", "/drone{N}/odom", ""])
 def test_pattern_without_a_uav(pattern):
     with pytest.raises(TopicPatternError, match=r"expected \{n\} for the id of the UAV"):
-        TopicNames(odom=pattern)
+        ReadOptions(odom=pattern)
 
 
 def test_what_is_missing_is_said(flown, scenario_file, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
     with pytest.raises(BagError, match=r"no scenario\.yaml attached: name the scenario with"):
-        read_recording(bag, ReadOptions(None, names=DRONES))
+        read_recording(bag, ReadOptions(None, **DRONES))
     nothing = read_recording(bag, ReadOptions(scenario_file))
     with pytest.raises(Exception, match="expected odometry of every UAV"):
         verdict_on(nothing)
@@ -349,7 +341,7 @@ def test_damaged_sqlite(flown, scenario_file, tmp_path, damage):
     else:
         file.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
     with pytest.raises(BagError, match=r"cannot be read \(|is damaged"):
-        verdict_on(read_recording(bag, ReadOptions(scenario_file, names=DRONES)))
+        verdict_on(read_recording(bag, ReadOptions(scenario_file, **DRONES)))
 
 
 def test_the_scenario_of_a_bag_reads_no_file(tmp_path: Path) -> None:
