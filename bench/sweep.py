@@ -69,8 +69,9 @@ def _memory_mb() -> float:
 
 def _main(runs: int, folder: Path) -> None:
     from ptnsbc_sim.scenario import load_scenario
-    from ptnsbc_sim.sweep import parse_starts, run
+    from ptnsbc_sim.sweep.draws import parse_starts
     from ptnsbc_sim.sweep.plan import plan_of
+    from ptnsbc_sim.sweep.runner import run
 
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:_CORES])
     scenario = load_scenario("paper_5_free", {"timing.duration_s": _FLIGHT_S})

@@ -11,8 +11,9 @@ from paper.experiment_result import Cell, Column, Table
 from paper.flights import Setting, scenario
 from paper.output import ExperimentFolder
 from ptnsbc_core.types import Array
-from ptnsbc_sim.sweep import parse_starts, run
+from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.runner import run
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED
 from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep, Share, read_sweep, share_of
 

@@ -28,7 +28,7 @@ from paper.flights import PROFILES, UNFILTERED, JudgedFlight, judge, scenario
 from paper.output import ExperimentFolder
 from paper.swept import RUNS
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sweep import parse_starts
+from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
 from ptnsbc_tools.sweeps.summary import Share, share
 

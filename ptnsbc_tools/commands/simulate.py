@@ -48,8 +48,8 @@ def simulate(
         chosen = choices.of(scenario)
     else:
         from ptnsbc_sim.scenario import scenario_from_text
-        from ptnsbc_sim.sweep import SweepError
-        from ptnsbc_sim.sweep import draw as draw_of
+        from ptnsbc_sim.sweep.draws import SweepError
+        from ptnsbc_sim.sweep.plan import draw as draw_of
         from ptnsbc_tools.sweeps.summary import plan_in
 
         if scenario is not None or sweep is None or draw is None:

@@ -16,7 +16,8 @@ from ptnsbc_tools.limits import LONGEST_S, MOST_RUNS
 from ptnsbc_tools.options import SWEEPS, Choices, JsonOption, argument, option, scenario_with
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.sweep import SweepPlan, SweepResult
+    from ptnsbc_sim.sweep.plan import SweepPlan
+    from ptnsbc_sim.sweep.runner import SweepResult
     from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep
 
 _BASE = "paper_5_free"
@@ -92,7 +93,7 @@ class Draws(Choices):
 
     def plan(self, scenario: str | None) -> SweepPlan:
         """The flights of a scenario, or of the family."""
-        from ptnsbc_sim.sweep import SweepError
+        from ptnsbc_sim.sweep.draws import SweepError
         from ptnsbc_tools.library import sweeping
 
         if scenario is None and self.family is None:
@@ -153,7 +154,7 @@ def sweep(
     A sweep that was ended early goes on where it ended: give the same command again. Exit code 0: all
     draws were flown, whatever their verdicts are. 1: some draws could not be flown; they are named.
     """
-    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep.draws import SweepError
     from ptnsbc_tools.sweeps import summary
     from ptnsbc_tools.sweeps.summary import read_sweep
 
@@ -185,7 +186,7 @@ def sweep(
 
 def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
     """Remove a sweep of another plan or of other laws; other files in the folder stay, and have it refused."""
-    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep.draws import SweepError
     from ptnsbc_sim.sweep.runner import held
 
     other = held(folder, plan)
@@ -202,7 +203,7 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
 
 
 def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | None) -> SweepResult:
-    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep.draws import SweepError
     from ptnsbc_tools.library.sweeping import fly_plan
 
     done = [0]

@@ -14,11 +14,11 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.sweep import SweepError, SweepPlan, SweepResult, draw, parse_axis, parse_starts, run
+from ptnsbc_sim.sweep.draws import SweepError, parse_axis, parse_starts
 from ptnsbc_sim.sweep.family import find_family
-from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.plan import SweepPlan, draw, plan_of
 from ptnsbc_sim.sweep.rows import fly_draw, rows_of
-from ptnsbc_sim.sweep.runner import TABLE, columns_of
+from ptnsbc_sim.sweep.runner import TABLE, SweepResult, columns_of, run
 from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.library.flight import Flight, new_axes

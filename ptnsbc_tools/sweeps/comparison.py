@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_sim.sweep import SweepPlan
+from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.verdict.deadline import MET
 from ptnsbc_tools.sweeps.summary import (
     DISTANCES,

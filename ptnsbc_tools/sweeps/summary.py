@@ -17,9 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.sweep import SweepError, SweepPlan
-from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES
+from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES, SweepError
 from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
+from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED

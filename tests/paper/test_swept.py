@@ -11,7 +11,7 @@ from paper.flights import PLANTS, scenario
 from paper.output import ExperimentFolder
 from paper.swept import SweepCase, swept_table
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.sweep import parse_starts
+from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.sweeps.summary import share
 

@@ -14,8 +14,7 @@ from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
-from ptnsbc_sim.sweep import parse_starts
-from ptnsbc_sim.sweep.draws import NEAR, Starts
+from ptnsbc_sim.sweep.draws import NEAR, Starts, parse_starts
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, plan_of
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.recording import recording_of

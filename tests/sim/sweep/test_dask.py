@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.sweep import parse_starts, run
+from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.runner import run
 
 pytest.importorskip("pyarrow")
 distributed = pytest.importorskip("distributed")

@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, drawn_values, parse_axis, parse_starts
-from ptnsbc_sim.sweep.draws import Starts
-from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
+from ptnsbc_sim.sweep.draws import Starts, SweepError, parse_axis, parse_starts
+from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, drawn_values, plan_of
 
 BASE = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
 KAPPA = "gains.formation.kappa_1_s"

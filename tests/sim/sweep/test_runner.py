@@ -16,10 +16,11 @@ import pytest
 
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import fly
-from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, parse_axis, parse_starts, run, runner
-from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep import runner
+from ptnsbc_sim.sweep.draws import SweepError, parse_axis, parse_starts
+from ptnsbc_sim.sweep.plan import SweepPlan, draw, plan_of
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, rows_of
-from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, chunk_count, fly_chunk
+from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, chunk_count, fly_chunk, run
 from ptnsbc_sim.verdict.recording import recording_of
 
 pa = pytest.importorskip("pyarrow")
@@ -201,7 +202,8 @@ def test_a_worker_that_dies_loses_only_its_chunk(
 _ENDLESS = """
 import sys
 from pathlib import Path
-from ptnsbc_sim.sweep import SweepPlan, run
+from ptnsbc_sim.sweep.plan import SweepPlan
+from ptnsbc_sim.sweep.runner import run
 plan = SweepPlan.from_json(Path(sys.argv[1]).read_text())
 run(plan, Path(sys.argv[2]), workers=2, progress=lambda done, total: print(done, flush=True))
 """

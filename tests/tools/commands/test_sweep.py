@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from ptnsbc_sim.sweep import SweepError, runner
+from ptnsbc_sim.sweep import runner
+from ptnsbc_sim.sweep.draws import SweepError
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.sweeps.summary import read_sweep
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError
-from ptnsbc_sim.sweep import SweepError
+from ptnsbc_sim.sweep.draws import SweepError
 from ptnsbc_tools.library.flying import load, read_bag
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.plotting.draw import blank_figure

@@ -9,8 +9,9 @@ import made_tables
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.sweep import parse_axis, parse_starts, run
+from ptnsbc_sim.sweep.draws import parse_axis, parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.runner import run
 
 AXES = ("plant.mass_kg=1.0,1.2", "gains.formation.kappa_1_s=1:3")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.sweep import SweepError, parse_axis
+from ptnsbc_sim.sweep.draws import SweepError, parse_axis
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.sweeps import summary
 from ptnsbc_tools.sweeps.summary import (
