@@ -8,6 +8,7 @@ LONGEST_S = 1e6  # as timing.duration_s
 FASTEST_HZ = 1e4
 LARGEST_MB = 1e6
 MOST_RUNS = 1_000_000
+DRY_RUNS = 20  # perturbed flights before a flight
 SHORTEST_WINDOW_S = 0.01
 
 

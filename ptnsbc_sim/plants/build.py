@@ -16,11 +16,13 @@ from ptnsbc_sim.plants.integrate import initial_state
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import three
 
+_PHASES = {"sin": 0.0, "cos": np.pi / 2}
+
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     """Constants of one vehicle, with its true mass and inertia. The 6-DOF body has no motors, as in the paper."""
     uav, vehicle = scenario.uav(uav_id), scenario.vehicle(uav_id)
-    push = uav.disturbance
+    waves = (*uav.disturbance_m_s2, *uav.disturbance_rad_s2)
     kind = PLANTS[scenario.plant.kind]
     if kind == PLANT_RIGID_BODY:
         body = vehicle.rigid_body
@@ -40,9 +42,9 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
         lag,
         drag,
         np.array(scenario.world.wind_m_s, dtype=np.float64),
-        six(push.amplitudes),
-        six(push.phases),
-        six(push.offset),
+        six(wave.amount if wave.shape in _PHASES else 0.0 for wave in waves),
+        six(_PHASES.get(wave.shape, 0.0) for wave in waves),
+        six(0.0 if wave.shape in _PHASES else wave.amount for wave in waves),
     )
 
 

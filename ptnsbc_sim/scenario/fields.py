@@ -28,6 +28,7 @@ MOST_SAMPLES = 200_000
 
 # Suffix of a key -> its unit as we write it. Longer suffixes first: `_m_s2` also ends in `_s2`.
 _UNITS = {
+    "_n2_s": "N^2 s",
     "_rad_s2": "rad/s^2",
     "_kg_m2": "kg m^2",
     "_rad_s": "rad/s",

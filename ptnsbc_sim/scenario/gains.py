@@ -7,7 +7,6 @@ what a scenario promises. A loop without a `profile` uses `gains.profile`.
 from __future__ import annotations
 
 import math
-import pickle
 from typing import Annotated, Any, Literal
 
 from pydantic import WrapValidator
@@ -299,13 +298,12 @@ _PLANT: dict[str, dict[str, Any]] = {
 }
 
 
-_PICKLED = {  # loading them is a tenth of the work of copying them
-    plant: pickle.dumps(_COMMON | {key: _COMMON.get(key, {}) | own[key] for key in own})
+_DEFAULTS = {
+    plant: _COMMON | {key: _COMMON.get(key, {}) | own[key] for key in own}
     for plant, own in _PLANT.items()
 }
 
 
 def gain_defaults(plant: str) -> dict[str, Any]:
-    """The default `gains` block of a plant kind, a fresh copy."""
-    fresh: dict[str, Any] = pickle.loads(_PICKLED.get(plant, _PICKLED["quadrotor"]))
-    return fresh
+    """The default `gains` block of a plant kind; not to be changed."""
+    return _DEFAULTS.get(plant, _DEFAULTS["quadrotor"])

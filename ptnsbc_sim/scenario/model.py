@@ -38,8 +38,6 @@ from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
 from ptnsbc_sim.scenario.problems import ScenarioError
 
-_PHASES = {"sin": 0.0, "cos": np.pi / 2}
-
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
 HalfTurn = Annotated[Number, Field(gt=0, lt=1.5707963)]
@@ -325,14 +323,6 @@ class Formation(Block):
         return self.vacancy != "wait"
 
 
-class Disturbance(NamedTuple):
-    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
-
-    amplitudes: Array  # (6,)
-    phases: Array  # (6,) [rad]
-    offset: Array  # (6,)
-
-
 class UavBlock(Block):
     """Start of one UAV, what acts on it, and how it differs from the others."""
 
@@ -375,16 +365,6 @@ class UavBlock(Block):
     def position(self) -> Array:
         """Start position (3,) [m], ENU."""
         return np.array(self.position_m, dtype=np.float64)
-
-    @property
-    def disturbance(self) -> Disturbance:
-        """Forces and losses that act on the UAV."""
-        waves = (*self.disturbance_m_s2, *self.disturbance_rad_s2)
-        return Disturbance(
-            np.array([wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]),
-            np.array([_PHASES.get(wave.shape, 0.0) for wave in waves]),
-            np.array([0.0 if wave.shape in _PHASES else wave.amount for wave in waves]),
-        )
 
     @property
     def joins_ns(self) -> int:

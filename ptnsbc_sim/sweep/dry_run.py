@@ -21,8 +21,6 @@ from ptnsbc_sim.sweep.plan import SweepPlan, draw
 from ptnsbc_sim.sweep.rows import SweepRow, fly_draw
 from ptnsbc_sim.verdict.deadline import MET, WORST_FIRST
 
-RUNS = 20
-"""Perturbed flights."""
 LEAST = 0.5
 """Share of flights that must be met, the first one among them."""
 LEAST_BY_CHANCE = 0.95
@@ -97,7 +95,7 @@ class DryRun:
 
 
 def dry_run(
-    scenario: Scenario, runs: int = RUNS, seed: int = 0, progress: Progress | None = None
+    scenario: Scenario, runs: int, seed: int = 0, progress: Progress | None = None
 ) -> DryRun:
     """Fly a scenario as it stands, and `runs` times perturbed; SweepError when no perturbed start has room."""
     found = []
@@ -113,9 +111,7 @@ def least_share(scenario: Scenario) -> float:
     return LEAST_BY_CHANCE if scenario.imperfect else LEAST
 
 
-def accepts(
-    scenario: Scenario, runs: int = RUNS, seed: int = 0, least: float | None = None
-) -> bool:
+def accepts(scenario: Scenario, runs: int, seed: int = 0, least: float | None = None) -> bool:
     """The answer of `dry_run(…).accepted()`; no flight is flown that cannot change it. `least`: another share."""
     least, missed = least_share(scenario) if least is None else least, 0
     for number, flight in enumerate(_flights(scenario, runs, seed)):

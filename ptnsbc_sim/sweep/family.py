@@ -160,23 +160,20 @@ class Family(Block):
 
 def families() -> list[str]:
     """The names of the families that can be given without a path."""
-    folders = (folder / "families" for folder in reader.folders()[:-1])
-    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+    return reader.available("families")
 
 
 def find_family(name: str | Path) -> Path:
     """The file of a family, given by path or by name."""
     given = Path(name).expanduser()
-    if len(given.parts) > 1 or given.suffix:
-        if given.is_file():
-            return given
-        raise ScenarioError(f"{given}: no such family file")
-    for folder in reader.folders()[:-1]:
-        path = folder / "families" / f"{given}.yaml"
+    places = [given]
+    if len(given.parts) == 1 and not given.suffix:
+        places = [folder / "families" / f"{given}.yaml" for folder in reader.folders()[:-1]]
+    for path in places:
         if path.is_file():
             return path
-    known = ", ".join(families()) or "none is installed, give a path"
-    raise ScenarioError(f"{given}: no family of this name; expected one of: {known}")
+    known = ", ".join(families()) or "none is installed"
+    raise ScenarioError(f"{given}: no such family: expected its file, or one of: {known}")
 
 
 def family_from_text(text: str, source: str = "family") -> Family:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
 from ptnsbc_sim.verdict import Recording, verdict_on
@@ -48,12 +49,7 @@ class SweepRow:
     check: str  # what the dry run before the flight said: accepted | refused; empty: there was none
 
 
-_UNITS = {"_n2_s": "N^2 s", "_m": "m", "_s": "s", "_n": "N"}
-
-UNITS: dict[str, str] = {
-    field.name: next((unit for end, unit in _UNITS.items() if field.name.endswith(end)), "")
-    for field in fields(SweepRow)
-}
+UNITS = {field.name: unit_of(field.name) or "" for field in fields(SweepRow)}
 """Unit of each column; empty for words and numbers without one."""
 
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sweep.dry_run import RUNS, START_M, dry_run, remedies
+from ptnsbc_sim.sweep.dry_run import START_M, dry_run, remedies
+from ptnsbc_tools import console
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding
+from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.sweeps.summary import share
 
 KEY = "dry run"
 
-Progress = Callable[[int, int], None]
 
-
-def flown(scenario: Scenario, runs: int = RUNS, progress: Progress | None = None) -> list[Finding]:
-    """Fly a scenario, as it stands and perturbed, and say what came of it.
+def flown(scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True) -> list[Finding]:
+    """Fly a scenario, as it stands and perturbed, with progress, and say what came of it.
 
     Raises:
         SweepError: UAVs start so close that no perturbed start has room.
     """
-    done = dry_run(scenario, runs, progress=progress)
+    with console.compiling(), console.progress("dry runs", progress) as advance:
+        done = dry_run(scenario, runs, progress=advance)
     of = len(done.flights)
     accepted = done.accepted()
     first = "" if done.flights[0].met else "; the unperturbed flight is not met"

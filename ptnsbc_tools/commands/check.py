@@ -10,7 +10,7 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
-from ptnsbc_tools.limits import MOST_RUNS
+from ptnsbc_tools.limits import DRY_RUNS, MOST_RUNS
 from ptnsbc_tools.options import (
     FlightChoices,
     JsonOption,
@@ -23,7 +23,6 @@ from ptnsbc_tools.options import (
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
 
-_RUNS = 20
 _LACKING = 1
 
 
@@ -39,7 +38,7 @@ def check(
     ] = True,
     runs: Annotated[
         int, option("--runs -n N", "Perturbed dry runs; 0: none.", 0, MOST_RUNS)
-    ] = _RUNS,
+    ] = DRY_RUNS,
     json: JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms, and fly it in dry runs.

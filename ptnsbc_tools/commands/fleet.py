@@ -215,9 +215,9 @@ def fly_and_judge(
 def _refuse_dry_runs(scenario: Scenario) -> None:
     """Fly the dry runs of a scenario; CheckError when they refuse it."""
     from ptnsbc_tools.check import refuse
-    from ptnsbc_tools.library.flying import flown_before
+    from ptnsbc_tools.check.dry_run import flown
 
-    refuse(scenario, flown_before(scenario))
+    refuse(scenario, flown(scenario))
 
 
 def _objection(scenario: Scenario) -> str:

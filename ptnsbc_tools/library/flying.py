@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,10 +19,9 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
+from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.reading.bag_reader import read_status
-
-DRY_RUNS = 20
 
 
 class FlightFailedError(PtnsbcError):
@@ -87,18 +86,10 @@ def check(
     with console.compiling():
         findings = findings_of(scenario)
     if dry_runs and all(finding.severity != ERROR for finding in findings):
-        findings = [*flown_before(scenario, dry_runs, progress), *findings]
+        from ptnsbc_tools.check.dry_run import flown
+
+        findings = [*flown(scenario, dry_runs, progress), *findings]
     return CheckReport(scenario, tuple(findings))
-
-
-def flown_before(
-    scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
-) -> Sequence[Finding]:
-    """The findings of dry runs, with progress when they take longer than a moment."""
-    from ptnsbc_tools.check.dry_run import flown
-
-    with console.compiling(), console.progress("dry runs", progress) as advance:
-        return flown(scenario, runs, advance)
 
 
 def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None = None) -> Flight:

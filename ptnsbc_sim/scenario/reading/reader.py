@@ -131,11 +131,10 @@ def folders() -> list[Path]:
     return [root / "scenarios", *shared, Path.cwd() / "scenarios", Path.cwd()]
 
 
-def available() -> list[str]:
-    """The names of the scenarios that can be given without a path."""
+def available(below: str = "") -> list[str]:
+    """The names of the scenarios that can be given without a path, or of the files in a folder beside them."""
     named = folders()[:-1]  # the current directory may hold any other YAML
-    found = {path.stem for folder in named for path in folder.glob("*.yaml")}
-    return sorted(found)
+    return sorted({path.stem for folder in named for path in (folder / below).glob("*.yaml")})
 
 
 def find(name: str | Path, beside: Path | None = None) -> Path:

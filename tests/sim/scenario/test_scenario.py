@@ -50,18 +50,17 @@ def test_attributes_of_the_paper() -> None:
 
 
 def test_disturbance_of_table_2() -> None:
-    disturbance = load_scenario(PAPER).uav(3).disturbance
-    t = 0.7
-    value = disturbance.amplitudes * np.sin(t + disturbance.phases) + disturbance.offset
+    plant, t = plant_config(load_scenario(PAPER), 3), 0.7
+    value = plant.amplitude * np.sin(t + np.array(plant.phase)) + plant.offset
     expected = [0.3 * np.cos(t), 0.1 * np.sin(t), 0.4 * np.sin(t)]
     np.testing.assert_allclose(value[:3], expected, atol=1e-15)
 
 
 def test_constant_disturbance_as_number_and_as_text() -> None:
     overrides = {"uavs[0].disturbance_m_s2": [0.2, "-0.1", "0.3 sin"]}
-    disturbance = load_scenario(PAPER, overrides).uav(1).disturbance
-    np.testing.assert_array_equal(disturbance.offset[:3], [0.2, -0.1, 0])
-    np.testing.assert_array_equal(disturbance.amplitudes[:3], [0, 0, 0.3])
+    plant = plant_config(load_scenario(PAPER, overrides), 1)
+    np.testing.assert_array_equal(plant.offset[:3], [0.2, -0.1, 0])
+    np.testing.assert_array_equal(plant.amplitude[:3], [0, 0, 0.3])
 
 
 def test_a_value_may_repeat_its_unit() -> None:
