@@ -173,7 +173,7 @@ def find_family(name: str | Path) -> Path:
         if path.is_file():
             return path
     known = ", ".join(families()) or "none is installed"
-    raise ScenarioError(f"{given}: no such family: expected its file, or one of: {known}")
+    raise ScenarioError(f"{given}: no such family: expected one of: {known}, or a file")
 
 
 def family_from_text(text: str, source: str = "family") -> Family:
