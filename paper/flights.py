@@ -15,6 +15,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import Verdict, verdict_on
+from ptnsbc_sim.verdict.deadline import KEPT
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import recording_of, whole
 
@@ -114,7 +115,7 @@ class JudgedFlight(FlightCurves):
 
     def met(self) -> int:
         """The number of UAVs that kept the deadline and their distances."""
-        return sum(uav.verdict == "met" for uav in self.verdict.uavs)
+        return sum(uav.verdict in KEPT for uav in self.verdict.uavs)
 
     def met_text(self) -> str:
         """Like `4 of 5`."""
@@ -122,7 +123,7 @@ class JudgedFlight(FlightCurves):
 
     def kept_promise(self) -> bool:
         """Deadline met by all UAVs, and no keep-out entered."""
-        return self.verdict.verdict == "met"
+        return self.verdict.verdict in KEPT
 
     def worst_at_deadline_m(self) -> float:
         """Largest formation error at the deadline."""
@@ -154,7 +155,7 @@ class JudgedFlight(FlightCurves):
 
     def missed_reason(self) -> str:
         """The reason why the worst UAV is not met; empty when all are."""
-        missed = [uav for uav in self.verdict.uavs if uav.verdict != "met"]
+        missed = [uav for uav in self.verdict.uavs if uav.verdict not in KEPT]
         if not missed:
             return ""
         worst = max(missed, key=lambda uav: uav.error_at_deadline_m or 0.0)

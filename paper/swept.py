@@ -14,7 +14,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.runner import run
-from ptnsbc_sim.verdict.deadline import MET, VIOLATED
+from ptnsbc_sim.verdict.deadline import KEPT, VIOLATED
 from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep, Share, read_sweep, share_of
 
 RUNS = 200
@@ -87,7 +87,7 @@ def _cells(table: FlightTable) -> tuple[Cell, ...]:
         f"{kept.count} of {kept.of}",
         f"{100 * kept.value:.1f} %",
         kept.interval + (", wide" if kept.wide else ""),
-        100.0 * float(np.mean(table["verdict"] == MET)),
+        100.0 * float(np.mean(np.isin(table["verdict"], KEPT))),
         _quantile(flights.error_at_deadline_m, 0.5),
         _quantile(flights.largest_after_m, 0.95),
         _quantile(flights.largest_after_all_m, 0.95),

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_sim.verdict import Verdict
+from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools import console
 from ptnsbc_tools.check import Finding
 
@@ -21,6 +22,7 @@ _COLOURS = {
     "violated": "bold red",
     "void": "yellow",
     "cut short": "yellow",
+    "met late": "yellow",
     "met": "green",
 }
 _PAIRS = 3
@@ -190,9 +192,7 @@ def verdict_line(verdict: Verdict) -> Text:
     """The last line: the verdict in a sentence."""
     judged = [one.verdict for leg in verdict.legs for one in leg.uavs]
     counts = {kind: judged.count(kind) for kind in _COLOURS}
-    parts = [
-        f"{counts[kind]} {kind}" for kind in ("met", "void", "missed", "violated") if counts[kind]
-    ]
+    parts = [f"{counts[kind]} {kind}" for kind in reversed(WORST_FIRST) if counts[kind]]
     tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
     if len(verdict.legs) > 1:
         tail += f" in {len(verdict.legs)} legs"

@@ -19,7 +19,7 @@ from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.draws import NEAR, UNIFORM, Starts, SweepAxis
 from ptnsbc_sim.sweep.plan import SweepPlan, draw
 from ptnsbc_sim.sweep.rows import SweepRow, fly_draw
-from ptnsbc_sim.verdict.deadline import MET, WORST_FIRST
+from ptnsbc_sim.verdict.deadline import KEPT, MET_LATE, WORST_FIRST
 
 LEAST = 0.5
 """Share of flights that must be met, the first one among them."""
@@ -53,11 +53,13 @@ class DryFlight:
     # largest after the deadline, excused spans included; None: none, or not finite
     error_m: float | None
     room_m: float | None  # smallest distance less its keep-out; None: nothing to keep out of
+    late: tuple[SweepRow, ...] = ()  # the UAVs that gave way, and came within the promise
+    in_place: int = 0  # UAVs at the chosen deadline
 
     @property
     def met(self) -> bool:
-        """True if all UAVs met the deadline and kept their distances."""
-        return self.verdict == MET
+        """True if all UAVs kept their promise, those that gave way later, and their distances."""
+        return self.verdict in KEPT
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,8 @@ def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
         cause=worst.cause,
         error_m=_finite(worst.largest_after_all_m),
         room_m=min(rooms, default=None),
+        late=tuple(row for row in rows if row.verdict == MET_LATE),
+        in_place=sum(row.in_place is True for row in rows),
     )
 
 

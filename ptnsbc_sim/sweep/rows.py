@@ -21,15 +21,20 @@ class SweepRow:
     draw: int
     uav: int  # 0 of a draw that was not flown
     slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
-    verdict: str  # met | missed | violated | void | not flown
-    cause: str  # why not met, empty when met
-    flight_verdict: str  # the worst of the flight's UAVs: violated, missed, void, met
+    verdict: str  # met | met late | missed | violated | void | not flown
+    cause: str  # why not met, or why late; empty when met
+    flight_verdict: str  # the worst of the flight's UAVs: violated, missed, void, met late, met
     deadline_s: float | None
     start_error_m: float | None
     tolerance_m: float | None
     band_m: float | None
     settling_s: float | None  # None: the error ends outside the band
     error_at_deadline_m: float | None
+    in_place: (
+        bool | None
+    )  # at the deadline, whatever excuses it; None: not expected then, by the plan
+    arrived_s: float | None  # of a UAV that kept its promise, and came later than the deadline
+    gave_way_to: str  # why it was not in place: UAVs and obstacles, separated by commas
     largest_after_m: float | None  # after the deadline, outside encounters
     largest_after_all_m: float | None  # after the deadline, inside encounters too
     rmse_after_m: float | None  # after the deadline, outside encounters
@@ -60,7 +65,8 @@ def not_flown(draw: int, cause: str) -> SweepRow:
     """The row of a draw that cannot be flown."""
     blank: dict[str, Any] = dict.fromkeys(field.name for field in fields(SweepRow))
     words = {"verdict": NOT_FLOWN, "flight_verdict": NOT_FLOWN, "cause": " ".join(cause.split())}
-    return SweepRow(**blank | words | {"draw": draw, "uav": 0, "slot": 0, "check": ""})
+    none = {"uav": 0, "slot": 0, "gave_way_to": "", "check": ""}
+    return SweepRow(**blank | words | none | {"draw": draw})
 
 
 def fly_draw(
@@ -100,6 +106,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
                 draw=draw,
                 flight_verdict=verdict.verdict,
                 deadline_s=float(of.deadline_s),
+                gave_way_to=",".join(of.gave_way_to),
                 avoidance_s=counter_rise(recording, of.uav, "avoidance_active_s", *span_ns),
                 deadlock_s=counter_rise(recording, of.uav, "deadlock_s", *span_ns),
                 closest_uav_m=min(to_uavs, default=None),

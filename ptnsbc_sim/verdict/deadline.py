@@ -1,7 +1,8 @@
 """The verdict on the deadline of one UAV, by the figures of its error, with the causes of a miss.
 
 A verdict is decided by its reasons, in `_reasons`: none is met, one whose cause voids it is void, else missed; a
-keep-out that was entered is violated. Only what the UAVs could not help voids a deadline: see `Cause`.
+keep-out that was entered is violated. Only what the UAVs could not help voids a deadline: see `Cause`. A UAV that was
+not in place at the deadline because it gave way, and came in within the promise, is met late.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.nanoseconds import seconds
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_sim.scenario.approach.deadline import shortest_from
 from ptnsbc_sim.scenario.approach.path import EpochPlaces
-from ptnsbc_sim.verdict.encounters import ancestors
+from ptnsbc_sim.verdict.encounters import ancestors, gave_way
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
 from ptnsbc_sim.verdict.recording import Recording, seconds_since
 from ptnsbc_sim.verdict.track import Track
@@ -115,8 +116,10 @@ def first_bad_s(recording: Recording, track: Track | None) -> float | None:
     return None
 
 
-MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
-WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
+MET, MET_LATE, MISSED, VIOLATED, VOID = "met", "met late", "missed", "violated", "void"
+WORST_FIRST = (VIOLATED, MISSED, VOID, MET_LATE, MET)
+KEPT = (MET, MET_LATE)
+"""The verdicts on who kept the promise: in place at the deadline, or so soon after giving way."""
 
 TOLERANCE_M = 0.05
 """Default limit of the formation error at the deadline."""
@@ -154,6 +157,9 @@ class Cause(Enum):
         "back at {due_s:.2f} s after an encounter, but outside {band:.3f} m again until {until}"
     )
     NOT_BACK = "not back after an encounter{promise}"
+    # why it was late, and kept the promise all the same
+    GAVE_WAY = "{error:.3f} m off at the deadline because {why}, in place at {t_s:.2f} s"
+    CHANGE_GAVE_WAY = "{error:.3f} m off at {due_s:.2f} s, when {what} was due, in an encounter"
     # what happened before
     SILENT = "UAV {uav} silent from {t_s:.2f} s", True
     HELD = _HELD
@@ -182,8 +188,8 @@ class UavVerdict:
 
     uav: int
     slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
-    verdict: str  # met | missed | violated | void
-    reason: str  # why not met, empty when met
+    verdict: str  # met | met late | missed | violated | void
+    reason: str  # why not met, or why late; empty when met
     excuse: str  # the encounters that excuse the figures, empty when none does
     deadline_s: float
     due_s: float  # the deadline, or the end of the encounter that lasts over it
@@ -192,6 +198,12 @@ class UavVerdict:
     settling_s: float | None  # None: the error ends outside the band
     tolerance_m: float  # limit of the error at the deadline
     error_at_deadline_m: float | None  # None: the recording ends before the deadline
+    # that error is within the tolerance, whatever excuses it; None: it came later, or had left, as planned
+    in_place: bool | None
+    arrived_s: (
+        float | None
+    )  # within the tolerance, of a UAV that kept its promise and was late; else None
+    gave_way_to: tuple[str, ...]  # uavN or an obstacle; why it was not in place
     residual: float | None  # error at the deadline over the start error
     max_error_after_m: float | None  # after the deadline, outside encounters
     max_error_after_all_m: float | None  # after the deadline, inside encounters too
@@ -216,19 +228,26 @@ def judge(figures: ErrorFigures, covers: Mapping[int, Coverage], intrusion: str 
     recording, uav = figures.recording, figures.uav
     reasons = _reasons(figures, covers)
     membership, causes = recording.members.text(uav), {reason.cause for reason in reasons}
+    over, in_place = figures.over_deadline, figures.in_place
+    way, due_ns = None, recording.start_ns + nanoseconds(figures.deadline_s)
+    if in_place is False and over is not None:
+        way = gave_way(recording, uav, over, due_ns)
+    late = [] if reasons else _came_late(figures, membership if way is None else way.text(uav))
     if intrusion:
         verdict = VIOLATED
     elif any(cause.voids for cause in causes):
         verdict = VOID
+    elif reasons:
+        verdict = MISSED
     else:
-        verdict = MISSED if reasons else MET
+        verdict = MET_LATE if late else MET
     not_finite = causes & {Cause.STATE_NOT_FINITE, Cause.ERROR_NOT_FINITE}
     regain, start, at = figures.longest_regain(), figures.start_error, figures.at_deadline
     return UavVerdict(
         uav=uav,
         slot=recording.slots.get(recording.start_ns, {}).get(uav, uav),
         verdict=verdict,
-        reason=", ".join([*filter(None, [intrusion]), *(reason.text for reason in reasons)]),
+        reason=", ".join([*filter(None, [intrusion]), *(of.text for of in reasons or late)]),
         excuse="" if reasons else _excuse(figures, membership),
         deadline_s=figures.deadline_s,
         due_s=figures.due_s,
@@ -237,6 +256,9 @@ def judge(figures: ErrorFigures, covers: Mapping[int, Coverage], intrusion: str 
         settling_s=None if not_finite else figures.settling_s,
         tolerance_m=figures.tolerance,
         error_at_deadline_m=at,
+        in_place=in_place,
+        arrived_s=figures.arrived_s if in_place is False and not reasons else None,
+        gave_way_to=() if way is None else way.to,
         residual=at / start if at is not None and start > 0 else None,
         max_error_after_m=figures.max_after,
         max_error_after_all_m=figures.max_after_all,
@@ -298,6 +320,21 @@ def _miss(figures: ErrorFigures) -> list[Reason]:
     if outside_s - figures.absent_s > MOST_EXCUSED * after_s:
         return [Cause.NEAR_OBJECTS.because(band=figures.band, outside_s=outside_s, after_s=after_s)]
     return []
+
+
+def _came_late(figures: ErrorFigures, why: str) -> list[Reason]:
+    """Why a UAV that kept its promise was not in place when something was due; empty when it was."""
+    if figures.in_place is False:
+        at, arrived_s = figures.at_deadline, figures.arrived_s
+        return [Cause.GAVE_WAY.because(error=at, why=why, t_s=arrived_s)]
+    recording = figures.recording
+    return [
+        Cause.CHANGE_GAVE_WAY.because(error=change.error_m, due_s=change.due_s, what=change.what)
+        for change in figures.at_changes
+        if change.error_m is not None
+        and change.error_m > figures.tolerance
+        and recording.members.expected(figures.uav, recording.first_ns + nanoseconds(change.due_s))
+    ]
 
 
 def _until(t_s: float | None) -> str:

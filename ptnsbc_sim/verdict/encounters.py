@@ -9,6 +9,8 @@ excuses an exit from the tolerance band. An encounter that lasts over the deadli
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,16 +21,17 @@ from numpy.typing import NDArray
 from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
+from ptnsbc_core.tasks.near_constraints import LATENCIES
 from ptnsbc_core.timebase import plan_duration
 from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
-from ptnsbc_sim.scenario.constants import recovery_config
+from ptnsbc_sim.scenario.constants import clearance_config, recovery_config
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
-from ptnsbc_sim.verdict.recording import Recording, by_phase
+from ptnsbc_sim.verdict.recording import Recording, by_phase, seconds_since
 from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive
@@ -38,6 +41,9 @@ _PAUSE_S = 1.0
 _TIME_CONSTANTS = 3.0
 _SLOWEST_RECOVERY_S = 10.0  # without kappa the loop would never recover
 _GROWTH_NS = 100_000_000  # span over which the growth of an error is measured
+_STEP_NS = 100_000_000  # between the instants at which the objects of an encounter are looked for
+_SHARE = 0.25  # of the instants of the object that was nearest most often: who was near for less is not named
+_UAV = re.compile(r"^uav(?=\d+$)")
 
 
 class Encounter(NamedTuple):
@@ -193,6 +199,68 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
         growing = np.maximum(beside[soon] - beside[now], 0.0) / seconds(_GROWTH_NS)
         off[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
     return off
+
+
+class GaveWay(NamedTuple):
+    """Who gave way in an encounter, and to whom or what."""
+
+    uav: int
+    to: tuple[str, ...]  # uavN, or the name of an obstacle
+
+    def text(self, uav: int) -> str:
+        """In words, of an encounter of `uav`."""
+        who = "it" if self.uav == uav else f"UAV {self.uav}, which it follows,"
+        return f"{who} gave way to {listed(self.to)}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """UAVs, as uavN, and obstacles in words."""
+    *most, last = (_UAV.sub("UAV ", name) for name in names)
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def gave_way(recording: Recording, uav: int, encounter: Encounter, due_ns: int) -> GaveWay | None:
+    """Who gave way the longest before something was due, a UAV or one that it follows; None: others came or went.
+
+    What was over so early that the way back was long enough does not count.
+
+    The messages do not name an object. At each instant it is the one with the least speed left: of the closing speed
+    that can still be braked before its keep-out, what is not flown yet.
+    """
+    _, over_ns, back_ns = encounter
+    begin_ns = max(encounter.begin_ns, due_ns - (back_ns - over_ns))
+    scenario = [of for of in recording.phases if of.begin_ns <= over_ns][-1].scenario
+    windows = {
+        one: [
+            (a, b)
+            for a, b in rising(recording.counters[one], _ACTIVE)
+            if a < over_ns and b > begin_ns
+        ]
+        for one in ancestors(scenario, uav)
+        if one in recording.counters
+    }
+    who = max(windows, key=lambda one: sum(b - a for a, b in windows[one]), default=uav)
+    if not windows.get(who):
+        return None
+    clearance, bodies = clearance_config(scenario, who), scenario.world.bodies
+    braking = clearance.deceleration
+    lost = braking * LATENCIES * clearance.lag_s
+    names: list[str] = []
+    for begin, end in windows[who]:
+        at = recording.at(np.arange(max(begin, begin_ns), min(end, over_ns) + 1, _STEP_NS))
+        place, times = at.positions[who], seconds_since(at.stamps, recording.first_ns)
+        rooms = {
+            f"uav{other}": lengths(place - beside) - scenario.keep_out_between(who, other)
+            for other, beside in at.positions.items()
+            if other != who
+        } | {body.name: body.distances(place, times) - body.keep_out_m for body in bodies}
+        left = []
+        for room in rooms.values():
+            closing = -np.gradient(room, times) if times.size > 1 else 0.0
+            left.append(np.sqrt(lost**2 + 2.0 * braking * np.maximum(room, 0.0)) - lost - closing)
+        names += [list(rooms)[k] for k in np.argmin(left, axis=0)]
+    counts = Counter(names).most_common()
+    return GaveWay(who, tuple(name for name, count in counts if count >= _SHARE * counts[0][1]))
 
 
 def _joined(spans: Iterable[Encounter]) -> list[Encounter]:

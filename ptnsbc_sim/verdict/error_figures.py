@@ -79,7 +79,12 @@ class ErrorFigures:
         # Only encounters that begin after the deadline are left out of the settling time.
         self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
         self.tolerance = tolerance
-        self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
+        over = ((w, b) for w, (a, b) in zip(self._windows, spans, strict=True) if a <= deadline < b)
+        # The encounter that lasts over the deadline, which then counts at its end.
+        self.over_deadline: Encounter | None
+        self.over_deadline, self.due_s = next(over, (None, deadline))
+        # The last time above the tolerance, from the deadline until it counts.
+        self.arrived_s = deadline
         self.regains = [
             Regain(seconds(one.over_ns - start_ns), seconds(one.back_ns - one.over_ns))
             for one, (_, back_s) in zip(self._windows, spans, strict=True)
@@ -138,6 +143,9 @@ class ErrorFigures:
         self._at_due.add(times, error)
         for _, at in self._changes:
             at.add(times, error)
+        if self.over_deadline is not None:
+            late_s = times[due:][(times[due:] <= self.due_s) & (error[due:] > self.tolerance)]
+            self.arrived_s = float(late_s[-1]) if late_s.size else self.arrived_s
         for one in self.regains:
             span = (times >= one.over_s) & (times <= one.over_s + one.promised_s + _EXACT_S)
             there = np.flatnonzero(outside & span)
@@ -184,6 +192,15 @@ class ErrorFigures:
         if self._at.value is None and self.max_after_all is not None:
             return float(self._last[1])  # the last sample is at the deadline
         return self._at.value
+
+    @property
+    def in_place(self) -> bool | None:
+        """True if the error was within the tolerance at the deadline; None: not expected then, by the plan."""
+        due_ns = self.recording.start_ns + nanoseconds(self.deadline_s)
+        if not self.recording.members.expected(self.uav, due_ns):
+            return None
+        at = self.at_deadline
+        return at is not None and at <= self.tolerance
 
     @property
     def at_changes(self) -> tuple[ChangeError, ...]:

@@ -131,6 +131,11 @@ class Members:
             if not any(span.begin_ns <= t_ns < span.end_ns for span in away)
         }
 
+    def expected(self, uav: int, t_ns: int) -> bool:
+        """True unless a UAV comes after an instant [ns], or has left before it, as the scenario has it."""
+        away = self.absences[uav]
+        return not any(span.planned and span.begin_ns <= t_ns < span.end_ns for span in away)
+
     def lost(self, uav: int) -> bool:
         """True if a UAV was lost in flight and did not come back."""
         away = self.absences[uav]

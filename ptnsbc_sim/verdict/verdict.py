@@ -17,7 +17,9 @@ from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
 from ptnsbc_sim.verdict.deadline import (
+    KEPT,
     MET,
+    MET_LATE,
     MISSED,
     VIOLATED,
     VOID,
@@ -116,6 +118,14 @@ _VIOLATION = COUNTERS.index("priority_violation_max")
 
 
 @dataclass(frozen=True)
+class InPlace:
+    """The UAVs that were in place at the chosen deadline, of those that were to be, whatever excuses the others."""
+
+    count: int
+    of: int
+
+
+@dataclass(frozen=True)
 class LegVerdict:
     """The verdict on the deadline of one formation leg, which begins at an epoch with that name."""
 
@@ -127,9 +137,15 @@ class LegVerdict:
 
     @property
     def verdict(self) -> str:
-        """The worst of its UAVs: violated, else missed, else void, else met; a lost UAV does not count."""
+        """The worst of its UAVs, by `WORST_FIRST`; a lost UAV does not count."""
         judged = [uav.verdict for uav in self.uavs if not uav.lost or uav.verdict == VIOLATED]
         return VOID if self.reason or not judged else _worst(judged)
+
+    @property
+    def in_place(self) -> InPlace:
+        """The UAVs that were in place at the deadline of this leg."""
+        expected = [uav.in_place for uav in self.uavs if uav.in_place is not None]
+        return InPlace(sum(expected), len(expected))
 
 
 CUT_SHORT = "cut short"
@@ -148,8 +164,8 @@ class MissionLegVerdict:
     # the largest one when it was due; of a landing the largest height above the ground
     error_m: float | None
     uav: int | None  # that had it
-    verdict: str  # met | missed | violated | void | cut short
-    reason: str  # why not met, empty when met
+    verdict: str  # met | met late | missed | violated | void | cut short
+    reason: str  # why not met, or why late; empty when met
 
 
 @dataclass(frozen=True)
@@ -179,7 +195,7 @@ class Verdict:
 
     @property
     def verdict(self) -> str:
-        """Violated when a keep-out was entered in any leg, else the worst of all UAVs and legs: missed, void, met."""
+        """Violated when a keep-out was entered in any leg, else the worst of all UAVs and legs, by `WORST_FIRST`."""
         if any(pair.entered for pair in self.separations):
             return VIOLATED
         legs = [leg.verdict for leg in self.legs]
@@ -187,15 +203,30 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """0 when every UAV met its deadline and no keep-out was entered, else 1: void was not shown to be met."""
-        return 0 if self.verdict == MET else 1
+        """0 when every UAV kept its promise and no keep-out was entered, else 1: void was not shown to be met."""
+        return 0 if self.verdict in KEPT else 1
+
+    @property
+    def in_place(self) -> InPlace:
+        """The UAVs that were in place at the deadline of the first leg."""
+        return self.legs[0].in_place
+
+    def strict(self) -> Verdict:
+        """The verdict of those to whom late is missed, whatever the UAVs gave way to."""
+
+        def judged(part: Any) -> Any:
+            return dataclasses.replace(part, verdict=MISSED) if part.verdict == MET_LATE else part
+
+        uavs, mission = tuple(map(judged, self.uavs)), tuple(map(judged, self.mission))
+        legs = (dataclasses.replace(leg, uavs=tuple(map(judged, leg.uavs))) for leg in self.legs)
+        return dataclasses.replace(self, uavs=uavs, legs=tuple(legs), mission=mission)
 
     def as_json(self) -> dict[str, Any]:
         """The verdict in plain types; a figure that does not exist is null."""
         plain = _plain(dataclasses.asdict(self))
         for entry, leg in zip(plain["legs"], self.legs, strict=True):
-            entry["verdict"] = leg.verdict
-        return {"verdict": self.verdict, **plain}
+            entry |= {"verdict": leg.verdict, "in_place": vars(leg.in_place)}
+        return {"verdict": self.verdict, "in_place": vars(self.in_place), **plain}
 
 
 def _worst(verdicts: Iterable[str]) -> str:
@@ -326,8 +357,11 @@ def _mission_legs(
             continue
         errors = _errors(recording, leg, judged)
         worst = max(errors or (), key=lambda error: error.error_m, default=None)
-        # An error that is no number is late too: a comparison with NaN is false.
-        late = [of for of in errors or () if not of.excused and not of.error_m <= tolerance]
+        # An error that is no number is off too: a comparison with NaN is false.
+        off = [of for of in errors or () if not of.error_m <= tolerance]
+        late = [of for of in off if not of.excused]
+        due_ns = recording.first_ns + nanoseconds(leg.due_s)
+        gave_way = [of for of in off if of.excused and recording.members.expected(of.uav, due_ns)]
         entered = [p for p in separations if p.entered and leg.begin_s <= p.at_s < next_s]
         verdict, reason = MET, ""
         if entered:
@@ -335,21 +369,29 @@ def _mission_legs(
             verdict = VIOLATED
             reason = f"{pair.first} {pair.distance_m:.3f} m from {pair.second} at {pair.at_s:.2f} s"
         elif late:
-            named = ", ".join(f"UAV {error.uav} {error.error_m:.3f} m" for error in late)
-            off = "above the ground" if isinstance(leg.leg, LandLeg) else "off"
+            where = "above the ground" if isinstance(leg.leg, LandLeg) else "off"
             verdict = MISSED
-            reason = f"{named} {off} at {leg.due_s:.2f} s, expected at most {tolerance:g} m"
+            reason = (
+                f"{_named(late)} {where} at {leg.due_s:.2f} s, expected at most {tolerance:g} m"
+            )
         elif errors is None:
             verdict, reason = CUT_SHORT, "by an operator"
         elif not errors:
             last_s = seconds(recording.last_ns - recording.first_ns)
             verdict = VOID
             reason = f"the recording ends after {last_s:.2f} s, it was due at {leg.due_s:.2f} s"
+        elif gave_way:
+            verdict = MET_LATE
+            reason = f"{_named(gave_way)} off at {leg.due_s:.2f} s, in an encounter"
         error_m, uav = (None, None) if worst is None else (worst.error_m, worst.uav)
         times_s = leg.begin_s, leg.due_s
         about = leg.number, leg.name, leg.leg.kind
         verdicts.append(MissionLegVerdict(*about, *times_s, error_m, uav, verdict, reason))
     return tuple(verdicts)
+
+
+def _named(errors: Iterable[_Error]) -> str:
+    return ", ".join(f"UAV {error.uav} {error.error_m:.3f} m" for error in errors)
 
 
 def _errors(

@@ -14,7 +14,7 @@ from rich.text import Text
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep.plan import SweepPlan
-from ptnsbc_sim.verdict.deadline import MET
+from ptnsbc_sim.verdict.deadline import KEPT
 from ptnsbc_tools.sweeps.summary import (
     DISTANCES,
     ERRORS,
@@ -75,6 +75,7 @@ class SweepComparison:
     draws: int
     flights: MetDifference
     uavs: MetDifference
+    in_place: MetDifference  # the UAVs that were at the deadline, whatever excuses the others
     figures: tuple[FigureDifference, ...]
     margin_m: float
     reasons: tuple[str, ...]  # why B is worse
@@ -160,7 +161,8 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
     """Compare the flights that both have; an error that grew by less than the margin is not worse."""
     a, b = in_both(a, b)
     flights = met_difference(a.flights.met, b.flights.met)
-    uavs = met_difference(a["verdict"] == MET, b["verdict"] == MET)
+    uavs = met_difference(np.isin(a["verdict"], KEPT), np.isin(b["verdict"], KEPT))
+    in_place = met_difference(a["in_place"].astype(np.bool_), b["in_place"].astype(np.bool_))
     differences = (
         median_difference(name, label, getattr(a.flights, name), getattr(b.flights, name), seed)
         for label, name in (*ERRORS, *DISTANCES)
@@ -175,14 +177,16 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
     for one in figures:
         if not alone and one.name == _DECIDING and one.low > margin_m:
             reasons.append(f"{one.label} is larger by {one.difference:.4g} m in the median")
-    return SweepComparison(len(a.flights.draw), flights, uavs, figures, margin_m, tuple(reasons))
+    draws, met = len(a.flights.draw), (flights, uavs, in_place)
+    return SweepComparison(draws, *met, figures, margin_m, tuple(reasons))
 
 
 def tables(found: SweepComparison) -> list[Table]:
     """The comparison as tables."""
     heads = ("", "A", "B", "only A", "only B", "B - A", "95 % interval", "p")
     met = new_table(f"Deadline met, draws in both: {found.draws}", heads)
-    for name, one in (("flights", found.flights), ("UAVs", found.uavs)):
+    rows = {"flights": found.flights, "UAVs": found.uavs, "UAVs in place then": found.in_place}
+    for name, one in rows.items():
         # UAVs of one flight are not independent: no interval
         p = f"{one.p:.3g}" if name == "flights" and found.draws > 1 else "-"
         more = f"{100 * (one.b.value - one.a.value):+.1f} %"
@@ -211,14 +215,17 @@ def line(found: SweepComparison) -> Text:
 
 def as_json(found: SweepComparison) -> dict[str, Any]:
     """The comparison as plain data; UAVs of one flight are not independent: they have no test."""
-    flights, uavs = (
-        {**vars(of), "a": of.a.as_json(), "b": of.b.as_json()} for of in (found.flights, found.uavs)
+    flights, uavs, in_place = (
+        {**vars(of), "a": of.a.as_json(), "b": of.b.as_json()}
+        for of in (found.flights, found.uavs, found.in_place)
     )
     figures = [
         {key: number(of) if isinstance(of, float) else of for key, of in vars(figure).items()}
         for figure in found.figures
     ]
-    of_uavs = {key: uavs[key] for key in ("a", "b", "only_a", "only_b")}
+    of_uavs, there = (
+        {key: of[key] for key in ("a", "b", "only_a", "only_b")} for of in (uavs, in_place)
+    )
     about = {"draws": found.draws, "worse": found.worse, "reasons": list(found.reasons)}
-    both = {"flights": flights, "uavs": of_uavs, "figures": figures}
+    both = {"flights": flights, "uavs": of_uavs, "in_place": there, "figures": figures}
     return {**about, "margin_m": found.margin_m, **both}

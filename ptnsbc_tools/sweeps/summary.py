@@ -22,7 +22,7 @@ from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE
-from ptnsbc_sim.verdict.deadline import MET, VIOLATED
+from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, VIOLATED
 from ptnsbc_tools.tables import word
 
 WIDE = 0.2
@@ -106,7 +106,8 @@ class Flights:
     """One value (D,) for each flight. An infinite error was not finite, a NaN is no figure."""
 
     draw: NDArray[np.int64]
-    met: NDArray[np.bool_]
+    met: NDArray[np.bool_]  # late or not
+    in_place: NDArray[np.bool_]  # all UAVs at the deadline, whatever excuses the others
     verdict: Column
     check: Column  # accepted | refused, empty without dry runs
     start_error_m: Array  # the largest of its UAVs
@@ -142,7 +143,10 @@ class FlightTable:
         verdict = self["flight_verdict"][self.first]
         return Flights(
             draw=self["draw"][self.first],
-            met=verdict == MET,
+            met=np.isin(verdict, KEPT),
+            in_place=np.logical_and.reduceat(
+                [value is not False for value in self["in_place"].tolist()], self.first
+            ),
             verdict=verdict,
             check=self["check"][self.first],
             start_error_m=self._most("start_error_m"),
@@ -161,10 +165,10 @@ class FlightTable:
 
     def _worst(self) -> NDArray[np.int64]:
         errors = np.nan_to_num(self["largest_after_all_m"], nan=-1.0, posinf=np.inf)
-        rank = np.select([self["verdict"] == VIOLATED, self["verdict"] != MET], [2, 1], 0)
+        rank = _rank(self["verdict"])
         ends = [*self.first[1:], len(self)]
         found = [
-            begin + int(np.lexsort((errors[begin:end], rank[begin:end]))[-1])
+            begin + int(np.lexsort((errors[begin:end], -rank[begin:end]))[-1])
             for begin, end in zip(self.first, ends, strict=True)
         ]
         return np.array(found, dtype=np.int64)
@@ -179,6 +183,12 @@ class FlightTable:
         """The drawn values of each flight (D,), by key."""
         names = [name for name in self.columns if name.startswith(DRAWN)]
         return {name.removeprefix(DRAWN): self[name][self.first] for name in names}
+
+
+def _rank(verdicts: Column) -> NDArray[np.int64]:
+    """The order in which UAVs and flights (R,) are looked at: inside a keep-out, not met, late, met."""
+    late, met = verdicts == MET_LATE, verdicts == MET
+    return np.select([verdicts == VIOLATED, late, met], [0, 2, 3], 1)
 
 
 @dataclass(frozen=True)
@@ -323,12 +333,11 @@ def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
 
 
 def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
-    """The flights to look at: inside a keep-out first, then not met, then the largest error after tf."""
+    """The flights to look at: inside a keep-out first, then not met, late, and the largest error after tf."""
     flights, table = sweep.table.flights, sweep.table
     errors = np.nan_to_num(flights.largest_after_all_m, nan=-1.0, posinf=np.inf)
     again = ("ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw")
-    inside = flights.verdict == VIOLATED
-    order = np.lexsort((flights.draw, -errors, flights.met, ~inside))[:count]
+    order = np.lexsort((flights.draw, -errors, _rank(flights.verdict)))[:count]
     return [
         WorstFlight(
             draw=int(flights.draw[k]),
@@ -380,13 +389,17 @@ def flights_met(sweep: FlownSweep) -> Share:
 def shares(sweep: FlownSweep) -> dict[str, Share]:
     """Shares of UAVs and flights that met the deadline, by the keys of the JSON.
 
-    UAVs of one flight are not independent. A deadlock is one in which avoidance left a UAV no way to its place for
-    `gains.clearance.deadlock_s`.
+    Met counts those that gave way and came within the promise; in place does not. UAVs of one flight are not
+    independent. A deadlock is one in which avoidance left a UAV no way to its place for `gains.clearance.deadlock_s`.
     """
-    flights = sweep.table.flights
+    flights, verdicts = sweep.table.flights, sweep.table["verdict"]
+    expected = [value for value in sweep.table["in_place"].tolist() if value is not None]
     return {
         "flights": flights_met(sweep),
-        "uavs": share_of(sweep.table["verdict"] == MET),
+        "flights_in_place": share_of(flights.in_place),
+        "uavs": share_of(np.isin(verdicts, KEPT)),
+        "uavs_in_place": share_of(np.array(expected)),
+        "uavs_late": share_of(verdicts == MET_LATE),
         "inside_keep_out": share_of(flights.verdict == VIOLATED),
         "deadlocks": share_of(flights.deadlock_s > 0.0),
     }
@@ -462,11 +475,15 @@ def _digits(value: float) -> str:
 def tables(sweep: FlownSweep) -> list[Table]:
     """All tables, in the order in which they are read; those without rows are left out."""
     counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
-    names = ("flights met", "UAVs met", "flights inside a keep-out", "flights with a deadlock")
+    names = (
+        *("flights met", "flights in place at the deadline"),
+        *("UAVs met", "UAVs in place at the deadline", "UAVs met late"),
+        *("flights inside a keep-out", "flights with a deadlock"),
+    )
     shown = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
     for name, one in shown.items():
         counts.add_row(name, *_share_cells(one), "wide: fly more" if one.wide else "")
-    why = new_table("Why UAVs are not met", ("", "UAVs", "cause"))
+    why = new_table("Why UAVs are late or not met", ("", "UAVs", "cause"))
     for verdict, cause, count in causes(sweep):
         why.add_row(word(verdict), str(count), cause)
     figures = new_table(
@@ -492,6 +509,7 @@ def line(sweep: FlownSweep) -> Text:
     """The last line: the share of flights in a sentence."""
     flown = flights_met(sweep)
     text = Text(f"Flights met: {flown}")
+    text.append(f"; in place at the deadline: {share_of(sweep.table.flights.in_place)}")
     if sweep.table.different < flown.of:
         text.append(
             f"; only {sweep.table.different} of them differ: vary the starts or a range", "bold red"

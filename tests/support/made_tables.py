@@ -9,7 +9,8 @@ from ptnsbc_tools.sweeps.summary import FlightTable, table_of
 
 ROW = SweepRow(
     draw=0, uav=1, slot=1, verdict="met", cause="", flight_verdict="met", deadline_s=5.0, start_error_m=1.0,
-    tolerance_m=0.05, band_m=0.05, settling_s=4.0, error_at_deadline_m=0.01, largest_after_m=0.01,
+    tolerance_m=0.05, band_m=0.05, settling_s=4.0, error_at_deadline_m=0.01, in_place=True,
+    arrived_s=None, gave_way_to="", largest_after_m=0.01,
     largest_after_all_m=0.02, rmse_after_m=0.01, encounter_s=0.0, excused_outside_s=0.0,
     regained_s=None,
     recovery_s=None,

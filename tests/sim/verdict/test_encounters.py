@@ -51,7 +51,7 @@ def test_recovery_ends(fly: Fly, count: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("late", "kind", "text"),
     [
-        (-0.1, "met", "the deadline counted at {:.2f} s"),
+        (-0.1, "met late", "the deadline counted at {:.2f} s"),
         (
             0.1,
             "missed",
@@ -71,6 +71,26 @@ def test_an_encounter_over_the_deadline_moves_it_to_the_end_of_the_recovery(
     assert one.error_at_deadline_m == pytest.approx(0.5)
     assert (one.excuse or one.reason).endswith(text.format(due_s, due_s - 5.6))
     assert one.max_error_after_all_m == pytest.approx(0.5)
+
+
+def test_who_gave_way_over_the_deadline_is_met_late(fly: Fly, count: Callable[..., Any]) -> None:
+    """Neither met nor missed: to what it gave way, and when it was in place. To the strict it is missed."""
+    busy = count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.05))
+    beside = fly({4: away(4.0, 6.0)}).odometry[4].values[500, :3] + [0.0, 0.0, 0.6]
+    tree = {"name": "tree", "position_m": beside.tolist(), "keep_out_m": 0.3}
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 12, "world.obstacles": [tree]})
+    verdict = verdict_on(fly({4: away(4.0, 6.0)}, counters={4: busy}, scenario=scenario))
+    one = verdict_of(verdict, 4)
+    assert (one.verdict, one.in_place, one.gave_way_to) == ("met late", False, ("tree",))
+    assert one.arrived_s == pytest.approx(5.99)
+    assert one.reason == (
+        "0.500 m off at the deadline because it gave way to tree, in place at 5.99 s"
+    )
+    assert (verdict.verdict, verdict.exit_code) == ("met late", 0)
+    assert verdict.as_json()["in_place"] == {"count": 4, "of": 5}
+    strict = verdict.strict()
+    assert (strict.verdict, strict.exit_code, strict.legs[0].verdict) == ("missed", 1, "missed")
+    assert verdict_of(strict, 4).reason == one.reason
 
 
 @pytest.mark.parametrize(("late", "kind"), [(-0.3, "met"), (0.3, "missed")])
@@ -151,7 +171,7 @@ def test_no_encounter_excuses_a_deadline_that_the_limits_do_not_allow(
     for start_m in (0.5, 60.0):
         errors = {4: lambda t, m=start_m: np.where(t < 4.0, m, np.where(t < 5.7, 0.5, 0.0))}
         found[start_m] = verdict_of(verdict_on(fly(errors, counters=busy)), 4)
-    assert found[0.5].verdict == "met"
+    assert found[0.5].verdict == "met late"
     assert found[60.0].verdict == "missed"
     assert "the limits allow no deadline below 15.90 s" in found[60.0].reason
     assert found[60.0].reason.endswith("s, which no encounter excuses")
