@@ -35,7 +35,7 @@ from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
 from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.verdict.recording import Recording, VerdictError, require_all_uavs
-from ptnsbc_sim.verdict.separation import Separation, Separations, joined
+from ptnsbc_sim.verdict.separation import Separation, joined, separations
 from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 
@@ -248,13 +248,11 @@ def _separations(recording: Recording) -> Iterator[Separation]:
     """
     require_all_uavs(recording)
     begin_ns = max(track.first_ns for track in recording.odometry.values())
-    pairs, instants = Separations(recording), 0
-    for block in recording.blocks(begin_ns, recording.last_ns):
-        pairs.add(block)
-        instants += len(block.stamps)
-    if not instants:
+    blocks = recording.blocks(begin_ns, recording.last_ns)
+    pairs = [pair for block in blocks for pair in separations(recording, block)]
+    if not pairs:
         raise VerdictError("no instant at which all UAVs are recorded")
-    yield from pairs.results()
+    yield from pairs
     if recording.samples > 1:
         yield from verdict_on(recording).separations
 

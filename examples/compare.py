@@ -18,7 +18,7 @@ print(f"planned: {a.met}\ntask: {b.met}")
 print("task is worse:", found.worse, *found.reasons)
 
 figure, axes = plt.subplots(figsize=(6, 5), layout="constrained")
-first, second = (one.flown.table.flights.error_at_deadline_m for one in (a, b))
+first, second = (one.flown.table.of_flights("error_at_deadline_m") for one in (a, b))
 axes.loglog(first, second, "o", markersize=4)
 ends = [min(first.min(), second.min()), max(first.max(), second.max())]
 axes.loglog(ends, ends, color="grey", linewidth=1)

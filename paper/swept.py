@@ -82,15 +82,16 @@ _COLUMNS = (
 
 def _cells(table: FlightTable) -> tuple[Cell, ...]:
     flights, kept = table.flights, met(table)
-    closest = flights.closest_uav_m[~np.isnan(flights.closest_uav_m)]
+    closest = table.of_flights("closest_uav_m")
+    closest = closest[~np.isnan(closest)]
     return (
         f"{kept.count} of {kept.of}",
         f"{100 * kept.value:.1f} %",
         kept.interval + (", wide" if kept.wide else ""),
         100.0 * float(np.mean(np.isin(table["verdict"], KEPT))),
-        _quantile(flights.error_at_deadline_m, 0.5),
-        _quantile(flights.largest_after_m, 0.95),
-        _quantile(flights.largest_after_all_m, 0.95),
+        _quantile(table.of_flights("error_at_deadline_m"), 0.5),
+        _quantile(table.of_flights("largest_after_m"), 0.95),
+        _quantile(table.of_flights("largest_after_all_m"), 0.95),
         float(closest.min()) if len(closest) else None,
         str(share_of(flights.verdict == VIOLATED)),
     )

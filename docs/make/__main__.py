@@ -8,17 +8,17 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
+from docs.make import verdict_schema
 from docs.make.markdown import RegionError, remade
 from ptnsbc_io.files import replacing
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import schema as scenario_schema
 from ptnsbc_sim.sweep import family
-from ptnsbc_sim.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]
 SCHEMA = "verdict.schema.json"
 SCHEMAS = {
-    DOCS / SCHEMA: schema.text,
+    DOCS / SCHEMA: verdict_schema.text,
     scenario_schema.FILE: scenario_schema.text,
     family.FILE: family.text,
 }

@@ -32,6 +32,7 @@ from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.recording import Recording, by_phase, seconds_since
+from ptnsbc_sim.verdict.separation import distances
 from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive
@@ -242,23 +243,21 @@ def gave_way(recording: Recording, uav: int, encounter: Encounter, due_ns: int) 
     who = max(windows, key=lambda one: sum(b - a for a, b in windows[one]), default=uav)
     if not windows.get(who):
         return None
-    clearance, bodies = clearance_config(scenario, who), scenario.world.bodies
+    clearance = clearance_config(scenario, who)
     braking = clearance.deceleration
     lost = braking * LATENCIES * clearance.lag_s
     names: list[str] = []
     for begin, end in windows[who]:
         at = recording.at(np.arange(max(begin, begin_ns), min(end, over_ns) + 1, _STEP_NS))
-        place, times = at.positions[who], seconds_since(at.stamps, recording.first_ns)
-        rooms = {
-            f"uav{other}": lengths(place - beside) - scenario.keep_out_between(who, other)
-            for other, beside in at.positions.items()
-            if other != who
-        } | {body.name: body.distances(place, times) - body.keep_out_m for body in bodies}
-        left = []
-        for room in rooms.values():
-            closing = -np.gradient(room, times) if times.size > 1 else 0.0
-            left.append(np.sqrt(lost**2 + 2.0 * braking * np.maximum(room, 0.0)) - lost - closing)
-        names += [list(rooms)[k] for k in np.argmin(left, axis=0)]
+        times = seconds_since(at.stamps, recording.first_ns)
+        others, left = [], []
+        for first, second, keep_out_m, distance in distances(scenario, at.positions, times):
+            if f"uav{who}" in (first, second):
+                others.append(second if first == f"uav{who}" else first)
+                allowed = np.sqrt(lost**2 + 2.0 * braking * np.maximum(distance - keep_out_m, 0.0))
+                closing = -np.gradient(distance, times) if times.size > 1 else 0.0
+                left.append(allowed - lost - closing)
+        names += [others[k] for k in np.argmin(left, axis=0)]
     counts = Counter(names).most_common()
     return GaveWay(who, tuple(name for name, count in counts if count >= _SHARE * counts[0][1]))
 

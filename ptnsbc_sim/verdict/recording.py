@@ -231,6 +231,7 @@ class Instants(NamedTuple):
     stamps: NDArray[np.int64]  # (T,) [ns]
     times: Array  # (T,) [s] after the epoch of the leg
     positions: dict[int, Array]  # (T, 3) [m], ENU, of every UAV, axis by axis in memory
+    until_ns: int  # the next judged instant [ns], or the last of these
 
 
 @dataclass(frozen=True)
@@ -328,13 +329,14 @@ class Recording:
         """The source of positions: `truth` where it is recorded of all UAVs, else `odometry`."""
         return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
 
-    def at(self, stamps: NDArray[np.int64]) -> Instants:
-        """Times and positions at instants (T,) [ns], ascending."""
+    def at(self, stamps: NDArray[np.int64], until_ns: int | None = None) -> Instants:
+        """Times and positions at instants (T,) [ns], ascending; `until_ns`: the next one."""
         source = self.truth if self.judged_by == "truth" else self.odometry
         positions = {
             uav: np.asfortranarray(source[uav].at(stamps, 3)) for uav in self.scenario.uav_ids
         }
-        return Instants(stamps, seconds_since(stamps, self.start_ns), positions)
+        until_ns = int(stamps[-1]) if until_ns is None else until_ns
+        return Instants(stamps, seconds_since(stamps, self.start_ns), positions, until_ns)
 
     def blocks(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Instants]:
         """The instants between two times, both included, by default those of the leg; VerdictError when it has none."""
@@ -345,8 +347,12 @@ class Recording:
             )
         begin_ns = self.start_ns if start_ns is None else start_ns
         last_ns = self.end_ns if end_ns is None else end_ns
-        for block in self.clock.blocks(*self.clock.span(begin_ns, last_ns)):
-            yield self.at(block.t_ns)
+        first, end = self.clock.span(begin_ns, last_ns)
+        for block in self.clock.blocks(first, end):
+            first += block.size
+            yield self.at(
+                block.t_ns, self.clock.rows(first, first + 1).first_ns if first < end else None
+            )
 
 
 def whole(recording: Recording) -> Instants:

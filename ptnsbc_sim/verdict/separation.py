@@ -7,13 +7,15 @@ there is no slack for rounding, and none for errors of the positions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict.recording import Instants, Recording, seconds_since
 from ptnsbc_sim.verdict.track import lengths
 
@@ -35,68 +37,36 @@ class Separation:
         return self.distance_m < self.keep_out_m
 
 
-class _Pair:
-    """The closest approach of one pair, whose distances arrive block by block."""
+def distances(
+    scenario: Scenario, positions: Mapping[int, Array], times: Array
+) -> Iterator[tuple[str, str, float, Array]]:
+    """Names, keep-out [m] and distances (T,) [m] of every pair of UAVs, and of every UAV and obstacle.
 
-    def __init__(self, names: tuple[str, str], keep_out: float) -> None:
-        self._names = names
-        self._keep_out = keep_out
-        self._closest = np.inf
-        self._at_s: float | None = None
-        self._inside_s = 0.0
-        self._inside_since: float | None = None  # of the newest sample, when it is inside
+    `positions` are (T, 3) [m], `times` (T,) [s] after the first epoch.
+    """
+    for a, b in combinations(scenario.uav_ids, 2):
+        keep_out_m = scenario.keep_out_between(a, b)
+        yield f"uav{a}", f"uav{b}", keep_out_m, lengths(positions[a] - positions[b])
+    for uav, body in product(scenario.uav_ids, scenario.world.bodies):
+        yield f"uav{uav}", body.name, body.keep_out_m, body.distances(positions[uav], times)
 
-    def add(self, times: Array, periods: Array, distance: Array) -> None:
-        """Take the next distances (T,) [m] at (T,) [s], each of which lasts for its period (T,) [s]."""
-        closest = int(np.argmin(distance))  # the first NaN, if there is one
-        if not np.isfinite(distance[closest]):  # NaN is neither near nor far
+
+def separations(recording: Recording, block: Instants) -> list[Separation]:
+    """The closest approaches in a block of instants, each of which lasts until the next one."""
+    times = seconds_since(block.stamps, recording.first_ns)
+    lasting = np.diff(times, append=seconds(block.until_ns - recording.first_ns))
+    closest = []
+    for first, second, keep_out_m, distance in distances(
+        recording.scenario, block.positions, times
+    ):
+        k = int(np.argmin(distance))  # the first NaN, if there is one
+        if not np.isfinite(distance[k]):  # NaN is neither near nor far
             distance = np.where(np.isfinite(distance), distance, np.inf)
-            closest = int(np.argmin(distance))
-        if self._at_s is None or distance[closest] < self._closest:
-            self._closest, self._at_s = float(distance[closest]), float(times[closest])
-        since, self._inside_since = self._inside_since, None
-        if distance[closest] < self._keep_out:
-            inside = distance < self._keep_out
-            self._inside_s += float(np.sum(periods[inside]))
-            self._inside_since = float(times[-1]) if inside[-1] else None
-        if since is not None:
-            self._inside_s += float(times[0] - since)
-
-    def separation(self) -> Separation:
-        """The closest approach so far."""
-        at_s = self._at_s or 0.0
-        return Separation(*self._names, self._closest, at_s, self._keep_out, self._inside_s)
-
-
-class Separations:
-    """Closest approach of every pair of UAVs and of every UAV and obstacle."""
-
-    def __init__(self, recording: Recording) -> None:
-        scenario = recording.scenario
-        self._first_ns = recording.first_ns
-        self._pairs = {
-            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.keep_out_between(a, b))
-            for a, b in combinations(scenario.uav_ids, 2)
-        }
-        self._obstacles = [
-            (uav, one, _Pair((f"uav{uav}", one.name), one.keep_out_m))
-            for uav in scenario.uav_ids
-            for one in scenario.world.bodies
-        ]
-
-    def add(self, block: Instants) -> None:
-        """Take the next instants."""
-        times, positions = seconds_since(block.stamps, self._first_ns), block.positions
-        periods = np.diff(times, append=times[-1])
-        for (a, b), pair in self._pairs.items():
-            pair.add(times, periods, lengths(positions[a] - positions[b]))
-        for uav, obstacle, pair in self._obstacles:
-            pair.add(times, periods, obstacle.distances(positions[uav], times))
-
-    def results(self) -> list[Separation]:
-        """All pairs, the smallest margin first."""
-        pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
-        return sorted((pair.separation() for pair in pairs), key=_room)
+            k = int(np.argmin(distance))
+        inside_s = float(np.sum(lasting[distance < keep_out_m]))
+        about = float(distance[k]), float(times[k]), keep_out_m, inside_s
+        closest.append(Separation(first, second, *about))
+    return closest
 
 
 def _room(pair: Separation) -> float:
@@ -104,7 +74,7 @@ def _room(pair: Separation) -> float:
 
 
 def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
-    """The separations of several spans as those of one."""
+    """The separations of several spans as those of one, the smallest margin first."""
     found: dict[tuple[str, str], Separation] = {}
     for part in parts:
         for pair in part:

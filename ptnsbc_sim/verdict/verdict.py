@@ -41,7 +41,7 @@ from ptnsbc_sim.verdict.recording import (
     seconds_since,
     tolerance_of,
 )
-from ptnsbc_sim.verdict.separation import Separation, Separations, intrusion, joined
+from ptnsbc_sim.verdict.separation import Separation, intrusion, joined, separations
 from ptnsbc_sim.verdict.track import BLOCK, lengths, max_of
 
 
@@ -118,7 +118,7 @@ _VIOLATION = COUNTERS.index("priority_violation_max")
 
 
 @dataclass(frozen=True)
-class InPlace:
+class InTime:
     """The UAVs that were in place at the chosen deadline, of those that were to be, whatever excuses the others."""
 
     count: int
@@ -142,10 +142,10 @@ class LegVerdict:
         return VOID if self.reason or not judged else _worst(judged)
 
     @property
-    def in_place(self) -> InPlace:
+    def in_place(self) -> InTime:
         """The UAVs that were in place at the deadline of this leg."""
         expected = [uav.in_place for uav in self.uavs if uav.in_place is not None]
-        return InPlace(sum(expected), len(expected))
+        return InTime(sum(expected), len(expected))
 
 
 CUT_SHORT = "cut short"
@@ -207,7 +207,7 @@ class Verdict:
         return 0 if self.verdict in KEPT else 1
 
     @property
-    def in_place(self) -> InPlace:
+    def in_place(self) -> InTime:
         """The UAVs that were in place at the deadline of the first leg."""
         return self.legs[0].in_place
 
@@ -260,10 +260,8 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         legs.append(leg)
         parts.append(pairs)
     for start_ns, end_ns in legs_without_deadline(recording):
-        separations = Separations(recording)
-        for block in recording.blocks(start_ns, end_ns):
-            separations.add(block)
-        parts.append(separations.results())
+        blocks = recording.blocks(start_ns, end_ns)
+        parts.append(joined(separations(recording, block) for block in blocks))
     efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
     closest = tuple(joined(parts))
     begin_ns, end_ns = recording.start_ns, recording.start_ns + nanoseconds(first.duration_s)
@@ -303,19 +301,19 @@ def _leg(
     windows, uavs = encounters(recording), recording.scenario.uav_ids
     figures = {uav: ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs}
     covers = {uav: coverage(recording, uav) for uav in uavs}
-    pairs, end_ns = Separations(recording), recording.start_ns
+    parts, end_ns = [], recording.start_ns
     for block in recording.blocks():
         for uav, error in formation_errors(recording, block).items():
             figures[uav].add(block, error)
-        pairs.add(block)
+        parts.append(separations(recording, block))
         if estimators is not None:
             estimators.add(block)
         end_ns = int(block.stamps[-1])
-    separations = pairs.results()
-    judged = tuple(judge(of, covers, intrusion(separations, of.uav)) for of in figures.values())
+    pairs = joined(parts)
+    judged = tuple(judge(of, covers, intrusion(pairs, of.uav)) for of in figures.values())
     duration_s = float(seconds(end_ns - recording.start_ns))
     leg = LegVerdict(recording.leg + 1, seconds(recording.start_ns), duration_s, "", judged)
-    return leg, separations
+    return leg, pairs
 
 
 def legs_without_deadline(recording: Recording) -> list[tuple[int, int]]:
@@ -340,7 +338,7 @@ class _Error(NamedTuple):
 def _mission_legs(
     recording: Recording,
     judged: Sequence[LegVerdict],
-    separations: Iterable[Separation],
+    pairs: Iterable[Separation],
     tolerance: float,
 ) -> tuple[MissionLegVerdict, ...]:
     """The verdicts on the legs of the mission that are due before the flight ends, or were cut short."""
@@ -362,7 +360,7 @@ def _mission_legs(
         late = [of for of in off if not of.excused]
         due_ns = recording.first_ns + nanoseconds(leg.due_s)
         gave_way = [of for of in off if of.excused and recording.members.expected(of.uav, due_ns)]
-        entered = [p for p in separations if p.entered and leg.begin_s <= p.at_s < next_s]
+        entered = [p for p in pairs if p.entered and leg.begin_s <= p.at_s < next_s]
         verdict, reason = MET, ""
         if entered:
             pair = min(entered, key=lambda pair: pair.distance_m - pair.keep_out_m)

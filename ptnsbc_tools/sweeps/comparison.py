@@ -164,7 +164,7 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
     uavs = met_difference(np.isin(a["verdict"], KEPT), np.isin(b["verdict"], KEPT))
     in_place = met_difference(a["in_place"].astype(np.bool_), b["in_place"].astype(np.bool_))
     differences = (
-        median_difference(name, label, getattr(a.flights, name), getattr(b.flights, name), seed)
+        median_difference(name, label, a.of_flights(name), b.of_flights(name), seed)
         for label, name in (*ERRORS, *DISTANCES)
     )
     figures = tuple(difference for difference in differences if difference is not None)

@@ -103,20 +103,13 @@ _INFINITE = (*(name for _, name in ERRORS), "rmse_after_m")
 
 @dataclass(frozen=True)
 class Flights:
-    """One value (D,) for each flight. An infinite error was not finite, a NaN is no figure."""
+    """One value (D,) for each flight."""
 
     draw: NDArray[np.int64]
     met: NDArray[np.bool_]  # late or not
     in_place: NDArray[np.bool_]  # all UAVs at the deadline, whatever excuses the others
     verdict: Column
     check: Column  # accepted | refused, empty without dry runs
-    start_error_m: Array  # the largest of its UAVs
-    error_at_deadline_m: Array  # the largest
-    largest_after_m: Array  # the largest, without excused spans
-    largest_after_all_m: Array  # the largest, with excused spans
-    deadlock_s: Array  # the longest of its UAVs
-    closest_uav_m: Array
-    closest_obstacle_m: Array
     worst: NDArray[np.int64]  # row of the UAV to look at: inside a keep-out, not met, largest error
 
 
@@ -149,18 +142,15 @@ class FlightTable:
             ),
             verdict=verdict,
             check=self["check"][self.first],
-            start_error_m=self._most("start_error_m"),
-            error_at_deadline_m=self._most("error_at_deadline_m"),
-            largest_after_m=self._most("largest_after_m"),
-            largest_after_all_m=self._most("largest_after_all_m"),
-            deadlock_s=self._most("deadlock_s"),
-            closest_uav_m=self._most("closest_uav_m", least=True),
-            closest_obstacle_m=self._most("closest_obstacle_m", least=True),
             worst=self._worst(),
         )
 
-    def _most(self, name: str, *, least: bool = False) -> Array:
-        """The largest or least of the UAVs of each flight; NaN when none has a figure."""
+    def of_flights(self, name: str) -> Array:
+        """A figure of each flight (D,): of a distance the least of its UAVs, else the largest; NaN when none has it.
+
+        An infinite error was not finite.
+        """
+        least = any(name == distance for _, distance in DISTANCES)
         return (np.fmin if least else np.fmax).reduceat(self[name], self.first)
 
     def _worst(self) -> NDArray[np.int64]:
@@ -273,6 +263,7 @@ def table_of(rows: list[SweepRow]) -> FlightTable:
 
 
 _WORST = 5
+_WORST_FIGURES = "largest_after_m", "largest_after_all_m", "closest_uav_m"
 _MOST_CELLS = 40
 _UAV = re.compile(r"\b(uav|UAV )\d+")
 _NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -335,7 +326,8 @@ def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
 def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     """The flights to look at: inside a keep-out first, then not met, late, and the largest error after tf."""
     flights, table = sweep.table.flights, sweep.table
-    errors = np.nan_to_num(flights.largest_after_all_m, nan=-1.0, posinf=np.inf)
+    figures = {name: table.of_flights(name) for name in _WORST_FIGURES}
+    errors = np.nan_to_num(figures["largest_after_all_m"], nan=-1.0, posinf=np.inf)
     again = ("ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw")
     order = np.lexsort((flights.draw, -errors, _rank(flights.verdict)))[:count]
     return [
@@ -344,10 +336,8 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
             uav=int(table["uav"][flights.worst[k]]),
             verdict=str(flights.verdict[k]),
             cause=str(table["cause"][flights.worst[k]]),
-            largest_after_m=number(flights.largest_after_m[k]),
-            largest_after_all_m=number(flights.largest_after_all_m[k]),
-            closest_uav_m=number(flights.closest_uav_m[k]),
             command=shlex.join([*again, str(flights.draw[k])]),
+            **{name: number(values[k]) for name, values in figures.items()},
         )
         for k in order
     ]
@@ -373,7 +363,7 @@ def _quantiles(sweep: FlownSweep) -> Iterator[tuple[bool, Quantiles]]:
         (True, DISTANCES, (0.0, 0.01, 0.5)),
     ):
         for label, name in figures:
-            values = getattr(sweep.table.flights, name) if of_flight else sweep.table[name]
+            values = sweep.table.of_flights(name) if of_flight else sweep.table[name]
             kept = np.sort(values[~np.isnan(values)])
             if len(kept):
                 places = (min(int(share * len(kept)), len(kept) - 1) for share in shares)
@@ -401,7 +391,7 @@ def shares(sweep: FlownSweep) -> dict[str, Share]:
         "uavs_in_place": share_of(np.array(expected)),
         "uavs_late": share_of(verdicts == MET_LATE),
         "inside_keep_out": share_of(flights.verdict == VIOLATED),
-        "deadlocks": share_of(flights.deadlock_s > 0.0),
+        "deadlocks": share_of(sweep.table.of_flights("deadlock_s") > 0.0),
     }
 
 

@@ -89,7 +89,7 @@ def drawn_axes(sweep: FlownSweep, most: int = _MOST_BINS) -> list[DrawnAxis]:
     keys = [axis.key for axis in sweep.plan.axes]
     keys += [key for key in drawn if key not in keys]
     found = [grouped(_label(key), drawn[key], most) for key in keys]
-    found.append(grouped(START_ERROR, sweep.table.flights.start_error_m, most))
+    found.append(grouped(START_ERROR, sweep.table.of_flights("start_error_m"), most))
     return [one for one in found if one is not None]
 
 
@@ -162,9 +162,9 @@ def _distributions(sweep: FlownSweep) -> Any:
     settled = table["settling_s"] / table["deadline_s"]
     panels: list[tuple[str, str, Array, float | None, str]] = [
         ("UAVs", "settling time / deadline", settled, 1.0, "deadline"),
-        ("flights", "closest pair of UAVs [m]", flights.closest_uav_m, None, ""),
+        ("flights", "closest pair of UAVs [m]", table.of_flights("closest_uav_m"), None, ""),
     ]
-    room = flights.closest_obstacle_m
+    room = table.of_flights("closest_obstacle_m")
     if np.isfinite(room).any():
         panels.append(("flights", "room to the closest obstacle [m]", room, 0.0, "keep-out"))
     figure = blank_figure((11.0 if len(panels) > 2 else 8.0, 3.4))
@@ -190,7 +190,7 @@ def _distributions(sweep: FlownSweep) -> Any:
 def paired(label: str, name: str, a: FlightTable, b: FlightTable) -> Any:
     """One error of every flight, in A and in B: below the diagonal B is better."""
     a, b = in_both(a, b)
-    both = np.stack([getattr(a.flights, name), getattr(b.flights, name)])
+    both = np.stack([a.of_flights(name), b.of_flights(name)])
     shown = np.isfinite(both).all(axis=0) & (both > 0.0).all(axis=0)
     figure = blank_figure(_SIZE_IN)
     axes = figure.add_subplot()

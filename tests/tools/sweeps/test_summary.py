@@ -136,10 +136,10 @@ def test_a_flight_has_the_worst_figure_of_its_uavs(made) -> None:
     table = table_of([made.ROW, replace(near, uav=2), replace(made.ROW, draw=7)])
     flights = table.flights
     assert flights.draw.tolist() == [0, 7]
-    assert flights.error_at_deadline_m.tolist() == [0.3, 0.01]
-    assert flights.closest_uav_m.tolist() == [0.5, 0.8]
+    assert table.of_flights("error_at_deadline_m").tolist() == [0.3, 0.01]
+    assert table.of_flights("closest_uav_m").tolist() == [0.5, 0.8]
     assert flights.worst.tolist() == [1, 2]
-    assert np.isnan(flights.closest_obstacle_m).all()
+    assert np.isnan(table.of_flights("closest_obstacle_m")).all()
 
 
 def test_an_error_that_is_not_finite_is_no_missing_error(made) -> None:

@@ -1,7 +1,4 @@
-"""The JSON schema of a verdict, made from its classes: `python -m ptnsbc_sim.verdict.schema`.
-
-`docs/verdict.schema.json` is the output.
-"""
+"""`verdict.schema.json`, the JSON schema of a verdict, made from its classes."""
 
 from __future__ import annotations
 
@@ -55,7 +52,3 @@ def _plain(part: Any) -> Any:
 def text() -> str:
     """The schema as the committed file holds it."""
     return as_text(schema())
-
-
-if __name__ == "__main__":
-    print(text(), end="")
