@@ -8,20 +8,12 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from docs.make import verdict_schema
+from docs.make import json_schemas
 from docs.make.markdown import RegionError, remade
 from ptnsbc_io.files import replacing
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_sim.scenario import schema as scenario_schema
-from ptnsbc_sim.sweep import family
 
 DOCS = Path(__file__).resolve().parents[1]
-SCHEMA = "verdict.schema.json"
-SCHEMAS = {
-    DOCS / SCHEMA: verdict_schema.text,
-    scenario_schema.FILE: scenario_schema.text,
-    family.FILE: family.text,
-}
 PAGES = {
     "scenarios.md": "docs.make.scenarios",
     "missions.md": "docs.make.missions",
@@ -47,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, print stale pages")
     check = parser.parse_args(arguments).check
     try:
-        texts = {path: text() for path, text in SCHEMAS.items()}
+        texts = {path: json_schemas.text(path) for path in json_schemas.SCHEMAS}
         texts |= {DOCS / name: made(name) for name in PAGES}
     except RegionError as error:
         print(f"error: {error}", file=sys.stderr)

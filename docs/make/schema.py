@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
+from docs.make.json_schemas import meanings
 from ptnsbc_sim.scenario.fields import LARGEST, Block, Name, Wave, unit_of
-from ptnsbc_sim.scenario.schema import meanings
 
 REQUIRED = "required"
 _MORE_UNITS = {"_deg": "°", "_percent": "%"}  # of keys whose values take no unit

@@ -25,7 +25,6 @@ from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.scenario.schema import as_text, described, headed
 from ptnsbc_sim.sweep.draws import BOX, NEAR, Spheres, Starts, drawn_places, spheres_of
 
 # A range is [low, high]; a number alone is that number in every draw.
@@ -183,21 +182,6 @@ def family_from_text(text: str, source: str = "family") -> Family:
         return Family.model_validate(tree)
     except ValidationError as error:
         raise scenario_error(source, error, tree) from None
-
-
-FILE = Path(__file__).with_name("family.schema.json")
-"""The schema that the modeline of a family file names."""
-
-
-def schema() -> dict[str, Any]:
-    """JSON schema, draft 2020-12, of a family file."""
-    told = "Distributions of scenarios, for ptnsbc sweep --family. docs/sweeps.md explains it."
-    return headed(described(Family), "Family of scenarios of ptnsbc", told)
-
-
-def text() -> str:
-    """The schema as the committed file holds it."""
-    return as_text(schema())
 
 
 Generator = Callable[[str], np.random.Generator]

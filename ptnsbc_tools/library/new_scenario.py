@@ -11,9 +11,12 @@ import numpy as np
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_io.files import replacing
+from ptnsbc_sim import scenario
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.problems import similar
-from ptnsbc_sim.scenario.schema import FILE
+
+SCHEMA = Path(scenario.__file__).with_name("scenario.schema.json")
+"""The schema that the modeline of a scenario file names."""
 
 MOST = 254
 _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
@@ -40,7 +43,7 @@ def text_of(
     template = Template(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
     return template.substitute(
         # From the folder of the file, so that a clone of it finds the schema too.
-        schema=os.path.relpath(FILE, folder),
+        schema=os.path.relpath(SCHEMA, folder),
         name=name,
         shape=shape,
         n=n,

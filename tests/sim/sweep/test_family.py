@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.scenario.constants import agent_config
-from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.sweep.family import FILE, families, family_from_text, find_family, schema
+from ptnsbc_sim.sweep.family import families, family_from_text, find_family
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, drawn_values, plan_of
 
 BASE = load_scenario("paper_5_free")
@@ -142,44 +138,3 @@ def test_on_a_ring_every_follower_starts_opposite_to_its_place() -> None:
         for uav in scenario.followers:
             start = np.array(scenario.uav(uav).position) - leader
             assert start == pytest.approx(-scenario.offset(uav), abs=1e-9)
-
-
-jsonschema = pytest.importorskip("jsonschema")
-SHIPPED = sorted((Path(__file__).parents[3] / "scenarios" / "families").glob("*.yaml"))
-
-
-@pytest.fixture(scope="module")
-def validator() -> Any:
-    made = schema()
-    jsonschema.Draft202012Validator.check_schema(made)
-    return jsonschema.Draft202012Validator(made)
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_the_shipped_families_fit_and_name_it(path: Path, validator: Any) -> None:
-    text = path.read_text("utf-8")
-    validator.validate(reader.parse(text, path.name))
-    modeline = text.splitlines()[0].removeprefix("# yaml-language-server: $schema=")
-    assert (path.parent / modeline).resolve() == FILE
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "siz: 3",
-        "size: [3]",
-        "tree: {kinds: [ladder]}",
-        "starts: {sigma_m: wide}",
-        "deadline: {seconds: [1, 2, 3]}",
-    ],
-)
-def test_slips_are_refused(text: str, validator: Any) -> None:
-    with pytest.raises(jsonschema.ValidationError):
-        validator.validate(reader.parse(text, "test"))
-
-
-def test_every_key_says_what_it_means() -> None:
-    made = schema()
-    blocks = [made, *(part for part in made["$defs"].values() if "properties" in part)]
-    for key, value in ((k, v) for block in blocks for k, v in block["properties"].items()):
-        assert value["description"], key

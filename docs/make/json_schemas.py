@@ -1,7 +1,7 @@
-"""The JSON schema of a scenario file, for editors: `python -m ptnsbc_sim.scenario.schema`.
+"""The JSON schemas, draft 2020-12: of a scenario file and of a family, for editors, and of a verdict.
 
-`scenario.schema.json` beside this module is the output. It is wider than the loader, which alone decides: a key may be
-missing, because `extends` or a default may give it, and `null` removes one.
+Those for editors are wider than the loader, which alone decides: a key may be missing, because `extends` or a default
+may give it, and `null` removes one.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 
+from ptnsbc_sim import sweep
 from ptnsbc_sim.scenario.fields import Block, Wave, unit_of
 from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.sweep.family import Family
+from ptnsbc_sim.verdict.deadline import MET, MET_LATE, MISSED, VIOLATED, VOID
+from ptnsbc_sim.verdict.verdict import CUT_SHORT, Verdict
+from ptnsbc_tools.library import new_scenario
 
-FILE = Path(__file__).with_name("scenario.schema.json")
-"""The schema that the modeline of a scenario file names."""
+SCENARIO, FAMILY = new_scenario.SCHEMA, Path(sweep.__file__).with_name("family.schema.json")
+VERDICT = Path(__file__).parents[1] / "verdict.schema.json"
 
 _LINK = re.compile(r"\[([^]]*)\]\([^)]*\)")
 _EXTENDS = {
@@ -34,6 +39,13 @@ _FUNCTION = {
     "description": "A function of yours, with its arguments.",
     "properties": {"kind": {"type": "string", "pattern": r"^.+\.py:[A-Za-z_]\w*$"}},
     "required": ["kind"],
+}
+_WORD = {"enum": [MET, MET_LATE, MISSED, VIOLATED, VOID]}
+_OF = {"type": "integer"}
+_IN_PLACE = {
+    "type": "object",
+    "properties": {"count": _OF, "of": _OF},
+    "required": ["count", "of"],
 }
 
 
@@ -91,12 +103,7 @@ def headed(made: dict[str, Any], title: str, description: str) -> dict[str, Any]
     return {**head, **_plain({**rest, "$defs": made["$defs"]})}
 
 
-def as_text(made: dict[str, Any]) -> str:
-    """A schema as the committed file holds it."""
-    return json.dumps(made, indent=1, ensure_ascii=False) + "\n"
-
-
-def schema() -> dict[str, Any]:
+def scenario() -> dict[str, Any]:
     """The schema of a scenario file."""
     made = described(ScenarioFile)
     definitions = made["$defs"]
@@ -148,10 +155,46 @@ def _plain(part: Any) -> Any:
     return {key: _plain(value) for key, value in kept.items()}
 
 
-def text() -> str:
-    """The schema as the committed file holds it."""
-    return as_text(schema())
+def family() -> dict[str, Any]:
+    """The schema of a family file."""
+    told = "Distributions of scenarios, for ptnsbc sweep --family. docs/sweeps.md explains it."
+    return headed(described(Family), "Family of scenarios of ptnsbc", told)
 
 
-if __name__ == "__main__":
-    print(text(), end="")
+def verdict() -> dict[str, Any]:
+    """The schema of the verdict that commands print with --json."""
+    made = TypeAdapter(Verdict).json_schema()
+    # Both follow from the verdicts on the UAVs and are therefore no fields of the classes.
+    for part in (made, made["$defs"]["LegVerdict"]):
+        part["properties"] = {"verdict": _WORD, "in_place": _IN_PLACE, **part["properties"]}
+        part["required"] = ["verdict", "in_place", *part["required"]]
+    made["$defs"]["UavVerdict"]["properties"]["verdict"] = _WORD
+    made["$defs"]["MissionLegVerdict"]["properties"]["verdict"] = {
+        "enum": [*_WORD["enum"], CUT_SHORT]
+    }
+    told = "simulate, fleet, demo and verify with --json; they add keys of their own."
+    made = _nullable(headed(made, "Verdict of ptnsbc", told))
+    return dict(made)
+
+
+def _nullable(part: Any) -> Any:
+    """A schema in which numbers may be null: a figure that does not exist."""
+    if isinstance(part, list):
+        return [_nullable(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    if part.get("type") == "number":
+        return {"type": ["number", "null"]}
+    kinds = part.get("anyOf", [])
+    if kinds and all(list(kind) == ["type"] for kind in kinds):
+        return {"type": [kind["type"] for kind in kinds]}
+    return {key: _nullable(value) for key, value in part.items()}
+
+
+SCHEMAS = {SCENARIO: scenario, FAMILY: family, VERDICT: verdict}
+"""The committed files, and what makes them."""
+
+
+def text(path: Path) -> str:
+    """A schema as the committed file holds it."""
+    return json.dumps(SCHEMAS[path](), indent=1, ensure_ascii=False) + "\n"
