@@ -85,8 +85,14 @@ class _AwaitingPublisher:
 class Endpoints:
     """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects."""
 
-    def __init__(self, node: Node, lockstep: bool, seal: Seal | None = None) -> None:
-        """`seal`: closes what is published and opens what is received; None in a fleet without one."""
+    def __init__(
+        self,
+        node: Node,
+        lockstep: bool,
+        seal: Seal | None = None,
+        after: Callable[[], None] | None = None,
+    ) -> None:
+        """`seal`: closes what is published and opens what is received; `after`: called after each message."""
         self.fleet = fleet_namespace(node.get_namespace())
         self.shared = set(topics.SEVERAL_PUBLISHERS)  # names of what several nodes publish
         self.refusals = Refusals()
@@ -97,7 +103,7 @@ class Endpoints:
         when its reader is slow. A reader receives the messages of one process in order: once it has acknowledged the
         last word it has the states before it.
         """
-        self._node, self._lockstep, self._seal = node, lockstep, seal
+        self._node, self._lockstep, self._seal, self._after = node, lockstep, seal, after
         self._published: list[_AwaitingPublisher] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
@@ -138,14 +144,21 @@ class Endpoints:
         A `required` topic needs a publisher before the flight; `profile` is used instead of the topic's own. Returns
         the topic's name after remapping, as `unheard` has it.
         """
-        name, read = full_name(self._node, topic), decode
+        name, read, take, after = full_name(self._node, topic), decode, deliver, self._after
+        if after is not None:
+
+            def deliver_and_go_on(message: T) -> None:
+                deliver(message)
+                after()
+
+            take = deliver_and_go_on
         if self._seal is not None:
             open_sealed = self._seal.opener(topic, lockstep=self._lockstep)
             read = lambda data: decode(open_sealed(data))  # noqa: E731
         subscription = self._node.create_subscription(
             message_class(topic),
             name,
-            Door(name, read, deliver, self.refusals),
+            Door(name, read, take, self.refusals),
             profile or qos.requested(topic, lockstep=self._lockstep),
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,

@@ -221,7 +221,7 @@ class LeaderClient:
         """
         if not self._start.service_is_ready():
             self._node.spin(_LOOK_S)
-            return _not_there("start").message
+            return not_there("start").message
         answer = self._ask(self._start, "start", patience_s)
         if answer is None:
             self._unanswered += 1
@@ -246,7 +246,7 @@ class LeaderClient:
             self._node.spin(_LOOK_S)
         try:
             if not client.service_is_ready():
-                return _not_there(name)
+                return not_there(name)
             return self._ask(client, name, patience_s) or _unanswered(name)
         finally:
             self._node.node.destroy_client(client)
@@ -266,7 +266,8 @@ class LeaderClient:
         return response and Answer(bool(response.success), str(response.message))
 
 
-def _not_there(name: str) -> Answer:
+def not_there(name: str) -> Answer:
+    """The answer where nobody offers the service."""
     return Answer(False, f"the leader's service /formation/{name} is not there", found=False)
 
 

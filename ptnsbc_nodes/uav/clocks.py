@@ -78,7 +78,7 @@ class RealTimeClock:
         self._offsets.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
         if inbox.own is None or flight.controller.odometry_stale(now_ns):
             return None
-        return Tick(now_ns, elapsed_ns, NO_CUTOFF_NS)
+        return Tick(now_ns, elapsed_ns, NO_CUTOFF_NS, flight.leg(now_ns))
 
     def done(self, tick: Tick) -> bool:
         """A tick is done; returns whether a status follows it at once."""
@@ -140,12 +140,12 @@ class LockstepClock:
         own = flight.inbox.own
         if own is None or own.stamp_ns <= self._done_ns or not flight.epochs.announced:
             return None
-        tick = Tick(own.stamp_ns, self._period_ns, own.stamp_ns)
+        tick = Tick(own.stamp_ns, self._period_ns, own.stamp_ns, flight.leg(own.stamp_ns))
         if flight.faults.plays_dead(tick.now_ns):
             flight.controller.forget()
             self.done(tick)
             return None
-        if not flight.take_slot(flight.leg(tick.now_ns)):
+        if not flight.take_slot(tick.leg):
             return None  # the decision is on its way
         return tick if flight.inbox.holds_tick(self._period_ns, self._near_every) else None
 

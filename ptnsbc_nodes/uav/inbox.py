@@ -97,6 +97,7 @@ class Inbox:
         self.own: Stamped | None = None  # odometry
         self.own_age_s = 0.0  # at the newest step
         self.near: Stamped | None = None
+        self.used: list[Stamped | None] = []  # the `held` messages of the newest step
         self._begun = False
         self._faults: list[MessageFault] = []
         self._restarts: list[MessageFault] = []
@@ -132,12 +133,13 @@ class Inbox:
         states = [(i, self.state_queues[i]) for i in senders.states]
         estimates = [(i, self.estimate_queues[i]) for i in senders.estimators]
         self._used = [*states, *estimates]
+        self._places = {i: place for place, (i, _) in enumerate(states, 2)}  # of states in `used`
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
         parents = 0 if senders.several is None else len(senders.several.ids)
         self._parent_states = np.zeros((parents, ODOMETRY_SIZE))
         self._parent_ages = np.zeros(parents)
         self._own_row = self._inputs.vector[OWN:PARENT]
-        self._queue_rows = tuple(self._rows())
+        self._rows = tuple(self._rows_of_messages())
         self._await()
 
     def on_state(self, uav_id: int, message: Stamped) -> None:
@@ -172,7 +174,7 @@ class Inbox:
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
-        """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
+        """The messages of a step: own, near, states, estimates, the latter two by ascending sender."""
         queues = (queue.before(cutoff_ns, now_ns) for _, queue in self._used)
         return [self.own, self.near, *queues]
 
@@ -213,8 +215,9 @@ class Inbox:
         if self.near is not None:
             inputs.near = self.near.values
             vector[NEAR_AGE] = _age_s(self.near, now_ns)
-        for queue, row, age_at in self._queue_rows:
-            message = queue.before(cutoff_ns, now_ns)
+        self.used = self.held(now_ns, cutoff_ns)
+        for place, row, age_at in self._rows:
+            message = self.used[place]
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
@@ -222,7 +225,7 @@ class Inbox:
         if several is not None:  # their messages as one
             states, ages = self._parent_states, self._parent_ages
             for k, uav_id in enumerate(several.ids):
-                message = self.state_queues[uav_id].before(cutoff_ns, now_ns)
+                message = self.used[self._places[uav_id]]
                 ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
                 if message is not None:
                     states[k] = message.values
@@ -232,16 +235,17 @@ class Inbox:
             )
         return inputs
 
-    def _rows(self) -> Iterator[tuple[MessageQueue, Array, int]]:
-        """Each queue, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
+    def _rows_of_messages(self) -> Iterator[tuple[int, Array, int]]:
+        """Of each message in `used` the part (13,) of `PackedInputs.vector` for it, and the offset of its age."""
         inputs, senders = self._inputs, self.senders
         if senders.parent is not None and senders.several is None:
-            yield self.state_queues[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
+            yield self._places[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
         if senders.leader is not None:
-            yield self.state_queues[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
+            yield self._places[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
+        first = 2 + len(senders.states)
         estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
-        for k, uav_id in enumerate(senders.estimators):
-            yield self.estimate_queues[uav_id], estimates[k], inputs.ages + k
+        for k, row in enumerate(estimates):
+            yield first + k, row, inputs.ages + k
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:

@@ -48,10 +48,10 @@ def sources(senders: Senders) -> tuple[str, ...]:
     return (OWN, "near", *states, *(f"estimate{i}" for i in senders.estimators), *decided)
 
 
-def used_by(controller: UavController, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
-    """The messages that the step at `now_ns` uses, in the order of `sources`."""
-    held = controller.inbox.held(now_ns, cutoff_ns)
-    return [*held, controller.slots] if controller.inbox.senders.others else held
+def used_by(controller: UavController) -> list[Stamped | None]:
+    """The messages that the newest step has used, in the order of `sources`."""
+    used = controller.inbox.used
+    return [*used, controller.slots] if controller.inbox.senders.others else used
 
 
 def checksum(message: Stamped) -> int:

@@ -55,6 +55,7 @@ class Tick(NamedTuple):
     now_ns: int
     elapsed_ns: int  # since the tick before: whole control periods
     cutoff_ns: int  # a neighbour's message must be stamped before to count
+    leg: Leg | None  # in force for the UAV
 
 
 class StepTime(NamedTuple):
@@ -471,12 +472,11 @@ class UavFlight:
             self.controller.follow(mission)
             if self.decider is not None:
                 self.decider.scenario = mission
-        leg = self.leg(tick.now_ns)
-        if leg is not None and not self._at_start:
+        if tick.leg is not None and not self._at_start:
             self._at_start = True
             self.controller.restart()
-        at = step_time(tick.now_ns, tick.elapsed_ns, leg, start_ns)
-        if not self.take_slot(leg):
+        at = step_time(tick.now_ns, tick.elapsed_ns, tick.leg, start_ns)
+        if not self.take_slot(tick.leg):
             at = at._replace(mode=MODE_HOLD)
         outputs = self.controller.step(at, tick.cutoff_ns)
         assert self.inbox.own is not None  # or no tick is due

@@ -103,14 +103,17 @@ class UavNode:
         self._active = False
         self._on_abandoned = on_abandoned
         self._vehicle_seen_s: float | None = None
-        self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
+        lockstep = edges.options.lockstep
+        # In lock-step any message may be the last that a tick waits for.
+        after = self._advance if lockstep else None
+        self.endpoints = Endpoints(node, lockstep, edges.options.seal, after)
         self._clock: UavClock = (
-            LockstepClock(scenario) if edges.options.lockstep else RealTimeClock(node, scenario)
+            LockstepClock(scenario) if lockstep else RealTimeClock(node, scenario)
         )
         self.flight = UavFlight(scenario, uav_id, edges)
         self._outbox = Outbox(self.endpoints, edges, self.flight)
-        self._heard = Subscriptions(node, self.endpoints, self.flight, self._clock, self._advance)
-        self._heard.hear(topics.EPOCH, decode_leg, self._on_leg)
+        self._heard = Subscriptions(node, self.endpoints, self.flight, self._clock)
+        self.endpoints.listen(topics.EPOCH, decode_leg, self._on_leg)
         if edges.options.bridged:
             self._heard.hear_limits()
         if self.flight.decided is not None and uav_id == scenario.leader.id:

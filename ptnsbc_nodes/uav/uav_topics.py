@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
 
 from rclpy.node import Node
 
@@ -17,62 +16,36 @@ from ptnsbc_nodes.comm.door import RealTimeStamps, RefusedMessage, in_lockstep, 
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.uav.clocks import UavClock
-from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, MessageQueue
+from ptnsbc_nodes.uav.inbox import MessageQueue
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
 from ptnsbc_nodes.uav.uav_controller import FlownStep, SlotDecider, UavFlight
 from ptnsbc_sim.scenario import Scenario
-
-T = TypeVar("T")
 
 
 class Subscriptions:
     """Everything that a UAV hears, on its way into its flight."""
 
     def __init__(
-        self,
-        node: Node,
-        endpoints: Endpoints,
-        flight: UavFlight,
-        clock: UavClock,
-        advance: Callable[[], None],
+        self, node: Node, endpoints: Endpoints, flight: UavFlight, clock: UavClock
     ) -> None:
-        """`advance`: called in lock-step after each message, which may be the last that a tick waits for."""
-        self._node, self._endpoints, self._flight = node, endpoints, flight
-        self._clock, self._advance = clock, advance
+        self._node, self._endpoints, self._flight, self._clock = node, endpoints, flight, clock
         # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
         self.odom_name = self._hear_odometry(flight.uav, flight.take_odometry)
         near = in_order(checked_near, clock.stamp_rule())
-        self.hear(topics.near(flight.uav), near, flight.take_near, required=clock.lockstep)
+        endpoints.listen(topics.near(flight.uav), near, flight.take_near, required=clock.lockstep)
         self._hear_neighbours()
-        self.hear(topics.LOST, decode_lost, flight.take_lost, required=False)
+        endpoints.listen(topics.LOST, decode_lost, flight.take_lost, required=False)
         if flight.faults.allowed:
-            self.hear(
+            endpoints.listen(
                 topics.FAULT,
                 fault_decoder(flight.scenario.uav_ids),
                 lambda order: flight.faults.take(order, clock.now_ns()),
                 required=False,
             )
         if flight.decided is not None:
-            self.hear(topics.SLOTS, flight.decided.decode, flight.decided.keep)
-
-    def hear(
-        self,
-        topic: Topic,
-        decode: Callable[[bytes], T],
-        take: Callable[[T], None],
-        required: bool = True,
-    ) -> str:
-        """Subscribe to a topic; returns its name after remapping."""
-
-        def take_and_advance(message: T) -> None:
-            take(message)
-            self._advance()
-
-        deliver = take_and_advance if self._clock.lockstep else take
-        return self._endpoints.listen(topic, decode, deliver, required)
+            endpoints.listen(topics.SLOTS, flight.decided.decode, flight.decided.keep)
 
     def hear_limits(self) -> None:
         """Hear the limits of a real vehicle from its bridge."""
@@ -108,7 +81,7 @@ class Subscriptions:
 
     def _hear_odometry(self, uav: int, take: Callable[[Stamped], None]) -> str:
         decode = in_order(OdometryDecoder(), self._clock.stamp_rule())
-        return self.hear(topics.odom(uav), decode, take)
+        return self._endpoints.listen(topics.odom(uav), decode, take)
 
     def _hear_neighbours(self) -> None:
         inbox, fleet = self._flight.inbox, self._endpoints.fleet
@@ -118,10 +91,10 @@ class Subscriptions:
         for topic, frame, queue in heard:
             decode, rule = OdometryDecoder(WORLD_FRAME, frame), self._clock.stamp_rule()
             if isinstance(rule, RealTimeStamps):
-                self.hear(topic, in_order(decode, rule), queue.put)
+                self._endpoints.listen(topic, in_order(decode, rule), queue.put)
             else:
                 take = partial(self._take_in_lockstep, full_name(self._node, topic), queue)
-                self.hear(topic, in_lockstep(decode, rule), take)
+                self._endpoints.listen(topic, in_lockstep(decode, rule), take)
 
     def _take_in_lockstep(
         self, name: str, queue: MessageQueue, message: Stamped | RefusedMessage
@@ -173,8 +146,7 @@ class Outbox:
         if controller.inbox.senders is not self._senders:  # it has taken another slot
             self._senders = controller.inbox.senders
             self._tick = TickTemplate(self._senders)
-        used = used_by(controller, step.at.now_ns, NO_CUTOFF_NS)
-        self._send_tick(self._tick.encode(sequence, step.at, used))
+        self._send_tick(self._tick.encode(sequence, step.at, used_by(controller)))
         if sequence % self._snapshot_every == 0:
             self._snapshot = self._snapshot or SnapshotTemplate(controller)
             self._send_snapshot(self._snapshot.encode(sequence, controller))

@@ -6,9 +6,9 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Diagnostics, OdometryDecoder, decode_diagnostics, decode_header
@@ -37,18 +37,15 @@ class ViewError(PtnsbcError):
 class FleetListener:
     """Subscriptions to what the processes of a fleet tell, on its way into a `FlightState`; nobody waits for them."""
 
-    def __init__(
-        self, endpoints: Endpoints, state: FlightState, after: Callable[[], None] = lambda: None
-    ) -> None:
-        """`after`: called after each message."""
-        self._endpoints, self._state, self._after = endpoints, state, after
-        self._hears_vehicles = False
+    def __init__(self, endpoints: Endpoints, state: FlightState) -> None:
+        self._state, self._hears_vehicles = state, False
+        self._listen = partial(endpoints.listen, required=False)
         scenario, processes = state.scenario, state.processes
         if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
             endpoints.shared.add(topics.EPOCH.name)
         often = keep_last(10 * len(scenario.uav_ids), reliable=True)
         for topic in (topics.DIAGNOSTICS, topics.READY):
-            self._listen(topic, decode_diagnostics, processes.on_status, often)
+            self._listen(topic, decode_diagnostics, processes.on_status, profile=often)
         self._listen(topics.EPOCH, decode_leg, state.on_leg)
         self._listen(topics.LOST, decode_lost, processes.on_lost)
         self._listen(topics.OVER, decode_header, lambda _over: setattr(processes, "over", True))
@@ -68,28 +65,18 @@ class FleetListener:
         for uav in self._state.scenario.uav_ids:
             # Neither the frames nor the order of stamps matter to a viewer.
             take = partial(self._state.on_odometry, uav)
-            self._listen(topics.odom(uav), OdometryDecoder(), take, STATE_REALTIME)
+            self._listen(topics.odom(uav), OdometryDecoder(), take, profile=STATE_REALTIME)
         return True
-
-    def _listen(
-        self,
-        topic: topics.Topic,
-        decode: Callable[[bytes], Any],
-        deliver: Callable[[Any], None],
-        profile: Any = None,
-    ) -> None:
-        def taken(message: Any) -> None:
-            deliver(message)
-            self._after()
-
-        self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
 
 
 class Observer(FleetNode):
     """A node that looks at a fleet; use it as a context manager. Several viewers may look at one fleet."""
 
-    def __init__(self, domain: int, namespace: str = "", name: str = "view") -> None:
-        super().__init__(domain, name, namespace)
+    def __init__(
+        self, domain: int, namespace: str = "", name: str = "view", within: Context | None = None
+    ) -> None:
+        """`within`: as of `FleetNode`."""
+        super().__init__(domain, name, namespace, within=within)
         self._slices = BoundedSpin(self.executor)
         self._leader: LeaderClient | None = None
         self._listener: FleetListener | None = None
@@ -141,9 +128,10 @@ class Observer(FleetNode):
         """Subscribe to what a viewer shows; the state that is kept up to date from now on."""
         state = FlightState(scenario, time.monotonic)
         seal = seal_of(scenario)
-        self.endpoints = Endpoints(self.node, lockstep=True, seal=seal or operators_seal())
+        seal = seal or operators_seal()
+        self.endpoints = Endpoints(self.node, lockstep=True, seal=seal, after=self._slices.look)
         self._leader = LeaderClient(self)
-        self._listener = FleetListener(self.endpoints, state, self._slices.look)
+        self._listener = FleetListener(self.endpoints, state)
         return state
 
     def ailments(self, names: Sequence[str], patience_s: float) -> dict[str, str]:

@@ -51,7 +51,8 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
             scenario = load_scenario(arguments.scenario)
         else:
             namespace = node.get_namespace().rstrip("/")
-            with Observer(node.context.get_domain_id(), namespace, "operator_lookup") as observer:
+            domain = node.context.get_domain_id()
+            with Observer(domain, namespace, "operator_lookup", node.context) as observer:
                 scenario = observer.scenario(_PATIENCE_S, lambda: lifetime.over)
         check_enforced(scenario)
         operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal_of(scenario))

@@ -32,7 +32,13 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.emergency import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, LauncherNode, LeaderClient
+from ptnsbc_nodes.fleet.fleet_node import (
+    Answer,
+    FleetNode,
+    LauncherNode,
+    LeaderClient,
+    not_there,
+)
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.observer import FleetListener
@@ -398,7 +404,9 @@ class OperatorNode:
         try:
             operation.begin()
             operation.run(_LOCAL_S)  # the bridges of this host need not wait for the middleware
-            with LauncherNode(self._domain, "operator_stop", self.endpoints.fleet) as node:
+            # In the context of this node: one of its own would have no enclave, and no way into a protected network.
+            context, fleet = self._node.context, self.endpoints.fleet
+            with LauncherNode(self._domain, "operator_stop", fleet, within=context) as node:
                 operation.remote = node
                 operation.discover(_DISCOVERY_S)
                 if not operation.bridges:  # a simulated fleet
@@ -423,6 +431,7 @@ class FleetCalls:
         # A callback waits for these answers: another node's executor receives them.
         self._node = FleetNode(domain, "operator_calls", fleet, within=node.context)
         self._leader = LeaderClient(self._node)
+        self._introduced_s = time.monotonic() + _DISCOVERY_S  # from then on all services are known
 
     def begin(self, name: str) -> Answer:
         """Let the leader begin a leg of `_LEGS`."""
@@ -431,8 +440,14 @@ class FleetCalls:
         return self.call(name)
 
     def call(self, name: str) -> Answer:
-        """Call a service; waits for the answer."""
-        return Answer(False, _SEALED) if self._signed else self._leader.ask(name, _ANSWER_S)
+        """Call a service; waits for the answer, and for nothing that the network does not have."""
+        if self._signed:
+            return Answer(False, _SEALED)
+        service = f"{self._node.endpoints.fleet}/formation/{name}"
+        known = (name for name, _ in self._node.node.get_service_names_and_types())
+        if time.monotonic() > self._introduced_s and service not in known:
+            return not_there(name)
+        return self._leader.ask(name, _ANSWER_S)
 
     def close(self) -> None:
         """Leave."""

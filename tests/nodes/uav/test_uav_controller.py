@@ -163,7 +163,7 @@ def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
     held = agent_config(with_slots(SCENARIO, SECOND), 5)
     np.testing.assert_equal(tuple(one.controller.config), tuple(held))
     assert sources(one.controller.inbox.senders)[-1] == "slots"
-    used = used_by(one.controller, 0, NO_CUTOFF_NS)[-1]
+    used = used_by(one.controller)[-1]
     assert used is not None
     assert (used.stamp_ns, used.values.tolist()) == (0, [3, 5, 4, 1, 2])
 

@@ -15,6 +15,7 @@ from ptnsbc_interfaces.srv import Arm, StartLeg, Stop
 
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, encode_limits
+from ptnsbc_nodes.view import operator_node
 from ptnsbc_nodes.view.operator_node import (
     ARM_VEHICLES,
     EMERGENCY_STOP,
@@ -192,11 +193,21 @@ def test_the_launcher_says_whether_the_vehicles_may_arm(fleet):
     assert fleet.asked == ["arm", "arm"]
 
 
-def test_an_emergency_stop_without_bridges_reaches_the_leader(fleet):
+def test_an_emergency_stop_without_bridges_reaches_the_leader(fleet, monkeypatch):
+    # A context of its own would not have the enclave of this process.
+    monkeypatch.setattr("rclpy.init", lambda **_: pytest.fail("it opens a context"))
     answer = fleet.call(Stop, EMERGENCY_STOP, Stop.Request())
     assert answer.success
     assert answer.vehicles == ["leader: leg stop"]
     assert fleet.asked == ["stop"]
+
+
+def test_a_service_that_nobody_offers_is_not_waited_for(make, monkeypatch):
+    monkeypatch.setattr(operator_node, "_DISCOVERY_S", 0.0)
+    monkeypatch.setattr(operator_node.LeaderClient, "ask", lambda *_: pytest.fail("it waits"))
+    answer = make().operator.calls.call("cancel")
+    assert (answer.accepted, answer.found) == (False, False)
+    assert answer.message.endswith("/formation/cancel is not there")
 
 
 def test_a_signed_fleet_takes_no_order_from_an_interface_without_a_seal(make):
