@@ -9,7 +9,6 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from ptnsbc_core.compile_cache import cache_root, source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import ros
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, judge
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings, judge
 
 _LEAST_PYTHON, _NEXT_PYTHON = (3, 10), (3, 14)
 _LEAST_FREE_B = 2_000_000_000
@@ -26,8 +25,6 @@ _TIMEX_BYTES = 1024  # more than struct timex has
 _WAKES = 100
 _LATE_MS = 5.0  # half a control period at 100 Hz
 _TRANSPORTS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
-
-Findings = Iterator[Finding]
 
 
 def _machine() -> Findings:

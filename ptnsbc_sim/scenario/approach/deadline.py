@@ -32,7 +32,14 @@ from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.route import shape_of
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
-from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, Route, extremes, trajectory_of
+from ptnsbc_sim.scenario.mission.trajectories import (
+    Circle,
+    Line,
+    Route,
+    extremes,
+    longest,
+    trajectory_of,
+)
 from ptnsbc_sim.scenario.model import Plant, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import Problem, ScenarioError
 
@@ -65,16 +72,12 @@ def _places_motion(file: ScenarioFile, first: float, last: float) -> tuple[float
     curve, span = trajectory_of(file.leader.trajectory), last - first
     times = np.linspace(first, last, min(max(round(span / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
     lead = curve_samples(curve, times)
-    speed, acceleration = _longest(lead[:, 3:6]), _longest(lead[:, 6:9])
+    speed, acceleration = longest(lead[:, 3:6]), longest(lead[:, 6:9])
     for uav in file.formation.offsets_m if file.formation.moves else ():
         place = place_samples(shape_of(file, uav), curve, times)
-        speed = max(speed, _longest(lead[:, 3:6] + place[:, 3:6]))
-        acceleration = max(acceleration, _longest(lead[:, 6:9] + place[:, 6:9]))
+        speed = max(speed, longest(lead[:, 3:6] + place[:, 3:6]))
+        acceleration = max(acceleration, longest(lead[:, 6:9] + place[:, 6:9]))
     return speed, acceleration
-
-
-def _longest(vectors: Array) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def _actuators(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:

@@ -414,14 +414,15 @@ def extremes(block: AnyPath, duration_s: float) -> Extremes:
     velocity = at[:, 3:6]
     jumps = velocity[steps + 1 : steps + 1 + len(inside)] - velocity[steps + 1 + len(inside) :]
     return Extremes(
-        _longest(velocity),
-        _longest(at[:, 6:9]),
-        _longest(at[:, 9:12]),
+        longest(velocity),
+        longest(at[:, 6:9]),
+        longest(at[:, 9:12]),
         float(np.abs(at[:, 13]).max()),
         float(np.hypot(velocity[:, 0], velocity[:, 1]).min()),
-        _longest(jumps) if len(jumps) else 0.0,
+        longest(jumps) if len(jumps) else 0.0,
     )
 
 
-def _longest(vectors: Array) -> float:
+def longest(vectors: Array) -> float:
+    """Norm of the longest of vectors (N, 3)."""
     return float(np.linalg.norm(vectors, axis=1).max())
