@@ -398,17 +398,3 @@ def _draw_surroundings(family: Family, tree: Tree, generator: Generator) -> dict
         scales = [uav["mass_scale"] for uav in tree["uavs"]]
         values |= {"heaviest": max(scales), "lightest": min(scales)}
     return values
-
-
-def family_columns(family: Family) -> dict[str, str]:
-    """Columns of what `draw_family` draws, and the kind of each."""
-    always = ("path", "speed_m_s", "radius_m", "size", "tree", "shape", "spacing_m", "obstacles")
-    sometimes = {
-        ("deadline_s",): family.deadline,
-        ("wind_m_s", "gust_m_s"): family.wind,
-        ("delay_s",): family.delay_s,
-        ("heaviest", "lightest"): family.mass,
-    }
-    drawn = (name for of, block in sometimes.items() if block is not None for name in of)
-    kinds = {**dict.fromkeys(("path", "tree", "shape"), "str"), "size": "int", "obstacles": "int"}
-    return {name: kinds.get(name, "float") for name in (*always, *drawn)}

@@ -15,12 +15,12 @@ import signal
 import threading
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
@@ -33,8 +33,7 @@ from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.draws import SweepError
 from ptnsbc_sim.sweep.dry_run import dry_run_says
-from ptnsbc_sim.sweep.family import family_columns, family_from_text
-from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values
+from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values, drawn_values
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
 
 if TYPE_CHECKING:
@@ -91,7 +90,8 @@ class ColumnKind(NamedTuple):
 @lru_cache(maxsize=2)
 def columns_of(plan: SweepPlan) -> tuple[ColumnKind, ...]:
     """The columns of the table: what is drawn, then the figures of a UAV."""
-    drawn = dict(family_columns(family_from_text(plan.family))) if plan.family else {}
+    first = drawn_values(plan, 0) if plan.family else {}
+    drawn = {key: "float" if of is None else type(of).__name__ for key, of in first.items()}
     for axis in plan.axes:
         kinds = {type(value) for value in axis.values}
         if axis.random or (kinds <= {int, float} and kinds != {int}):
@@ -217,16 +217,6 @@ class SweepResult:
         return self.folder / TABLE
 
 
-@dataclass(frozen=True)
-class _Outcome:
-    """One attempt at a chunk: its bytes, or what went wrong."""
-
-    index: int
-    data: bytes = b""
-    error: str = ""
-    died: bool = False  # its worker ended
-
-
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
@@ -266,21 +256,24 @@ def run(
     done = plan.draws - sum(len(chunk_draws(plan, index)) for index in missing)
     if progress is not None:
         progress(done, plan.draws)
-    failed = []
-    queue = _Queue(plan, missing)
-    for outcome in _attempts(queue, workers or cores(), scheduler):
-        failure = queue.settle(outcome)
-        if failure is not None:
-            failed.append(failure)
-        if outcome.data:
-            with replacing(chunks[outcome.index]) as part:
-                part.write_bytes(outcome.data)
-            done += len(chunk_draws(plan, outcome.index))
-            if progress is not None:
-                progress(done, plan.draws)
+
+    def keep(index: int, data: bytes) -> None:
+        nonlocal done
+        with replacing(chunks[index]) as part:
+            part.write_bytes(data)
+        done += len(chunk_draws(plan, index))
+        if progress is not None:
+            progress(done, plan.draws)
+
+    queue = _Queue(plan, missing, keep)
+    _fly(queue, workers or cores(), scheduler)
     with replacing(folder / TABLE) as part:
         part.write_bytes(join_chunks(plan, (p.read_bytes() for p in chunks if p.exists())))
-    return SweepResult(plan, folder, tuple(sorted(failed, key=lambda one: one.index)))
+    failed = (
+        FailedChunk(index, chunk_draws(plan, index), error)
+        for index, error in sorted(queue.given_up.items())
+    )
+    return SweepResult(plan, folder, tuple(failed))
 
 
 def held(folder: Path, plan: SweepPlan) -> str:
@@ -297,48 +290,44 @@ def held(folder: Path, plan: SweepPlan) -> str:
 
 
 class _Queue:
-    """The chunks that are still to be flown, and how often each has failed."""
+    """The chunks that are still to be flown. One that fails is tried again."""
 
-    def __init__(self, plan: SweepPlan, missing: Iterable[int]) -> None:
+    def __init__(
+        self, plan: SweepPlan, missing: Iterable[int], keep: Callable[[int, bytes], None]
+    ) -> None:
+        """`keep` takes the bytes of each chunk."""
         self.plan, self.text = plan, plan.to_json()
-        self._waiting = deque(missing)
-        self._errors: Counter[int] = Counter()
-        self._deaths: Counter[int] = Counter()
+        self.waiting = deque(missing)
+        self.given_up: dict[int, str] = {}  # the error of each chunk
+        self._keep = keep
+        self._failures: Counter[tuple[int, bool]] = Counter()
 
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def take(self) -> int:
-        """The next chunk."""
-        return self._waiting.popleft()
-
-    def settle(self, outcome: _Outcome) -> FailedChunk | None:
-        """Have a chunk that failed tried again; the failure when it is given up."""
-        if not outcome.error:
-            return None
-        index = outcome.index
-        (self._deaths if outcome.died else self._errors)[index] += 1
-        if self._errors[index] < _MOST_ERRORS and self._deaths[index] < _MOST_DEATHS:
-            self._waiting.append(index)
-            return None
-        return FailedChunk(index, chunk_draws(self.plan, index), outcome.error)
-
-
-def _outcome(
-    index: int, work: Callable[[], bytes], death: type[Exception] = BrokenProcessPool
-) -> _Outcome:
-    try:
-        return _Outcome(index, data=work())
-    except death:
-        return _Outcome(index, error="its worker process ended", died=True)
-    except PtnsbcError as error:
-        return _Outcome(index, error=str(error))
-    except Exception as error:  # of a flight: the other chunks go on
-        return _Outcome(index, error=f"{type(error).__name__}: {error}")
+    def settle(
+        self, index: int, fly: Callable[[], bytes], death: type[Exception] = BrokenProcessPool
+    ) -> bool:
+        """Keep what `fly` gives; True if the worker of the chunk has died."""
+        died = False
+        try:
+            data = fly()
+        except death:
+            error, died = "its worker process ended", True
+        except PtnsbcError as refused:
+            error = str(refused)
+        except Exception as broken:  # of a flight: the other chunks go on
+            error = f"{type(broken).__name__}: {broken}"
+        else:
+            self._keep(index, data)
+            return False
+        self._failures[index, died] += 1
+        if self._failures[index, died] < (_MOST_DEATHS if died else _MOST_ERRORS):
+            self.waiting.append(index)
+        else:
+            self.given_up[index] = error
+        return died
 
 
-def _attempts(queue: _Queue, workers: int, scheduler: str | None) -> Iterator[_Outcome]:
-    """Attempts at all chunks: by a dask cluster, by this process when it is the one worker, or by processes."""
+def _fly(queue: _Queue, workers: int, scheduler: str | None) -> None:
+    """Fly all chunks: by a dask cluster, by this process when it is the one worker, or by processes."""
     if scheduler is not None:
         try:
             from distributed import Client
@@ -348,45 +337,43 @@ def _attempts(queue: _Queue, workers: int, scheduler: str | None) -> Iterator[_O
                 'scheduler: dask is not installed: pip install "ptnsbc[sweep]"'
             ) from None
         with Client(scheduler) as client:
-            while len(queue):
-                executor, most = client.get_executor(pure=False), len(queue)
-                yield from _executed(queue, executor, most, KilledWorker)
+            while queue.waiting:
+                executor = client.get_executor(pure=False)
+                _execute(queue, executor, len(queue.waiting), KilledWorker)
     elif workers == 1:
-        while len(queue):
-            index = queue.take()
-            yield _outcome(index, lambda index=index: fly_chunk(queue.text, index))  # type: ignore[misc]
-    elif len(queue):
+        while queue.waiting:
+            index = queue.waiting.popleft()
+            queue.settle(index, partial(fly_chunk, queue.text, index))
+    elif queue.waiting:
         # Libraries and laws are loaded before the workers are forked: each worker has them at once.
         import pyarrow.parquet  # noqa: F401
 
         _table(queue.plan, [], [])
         fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
         context = multiprocessing.get_context("fork")
-        while len(queue):
+        while queue.waiting:
             pool = ProcessPoolExecutor(workers, mp_context=context, initializer=depend_on_parent)
             try:
-                yield from _executed(queue, pool, 2 * workers)
+                _execute(queue, pool, 2 * workers)
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _executed(
+def _execute(
     queue: _Queue, executor: Executor, most: int, death: type[Exception] = BrokenProcessPool
-) -> Iterator[_Outcome]:
-    """Attempts by the workers of an executor, `most` of them at a time; until one ends, which may end its pool."""
+) -> None:
+    """Fly chunks by the workers of an executor, `most` at a time, until one ends, which may end its pool."""
     running: dict[Future[bytes], int] = {}
-    while len(queue) or running:
-        while len(queue) and len(running) < most:
-            index = queue.take()
+    while queue.waiting or running:
+        while queue.waiting and len(running) < most:
+            index = queue.waiting.popleft()
             with warnings.catch_warnings():  # of threads: those of BLAS, idle
                 warnings.simplefilter("ignore", DeprecationWarning)
                 running[executor.submit(fly_chunk, queue.text, index)] = index
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            outcome = _outcome(running.pop(future), future.result, death)
-            yield outcome
-            if outcome.died:
+            if queue.settle(running.pop(future), future.result, death):
                 for other, index in running.items():
-                    yield _outcome(index, other.result, death)
+                    queue.settle(index, other.result, death)
                 return
 
 
