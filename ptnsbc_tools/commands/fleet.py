@@ -293,14 +293,13 @@ def _judge(
     bag: Path, flown: FleetResult, *, kept: Path | None, picture: Path | None, json: bool
 ) -> int:
     """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
-    from ptnsbc_sim.verdict import verdict_on
-    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.library.flight import flight_in
     from ptnsbc_tools.tables import show_verdict
 
     facts = _fleet_facts(flown)
     try:
-        recording = read_recording(bag)
-        verdict = verdict_on(recording)
+        flight = flight_in(bag)
+        verdict = flight.verdict
     except PtnsbcError as error:
         line = " ".join(str(error).split())
         end = "was interrupted" if flown.interrupted else "is over"
@@ -312,8 +311,6 @@ def _judge(
             console.print_json({"bag": place, "fleet": facts, "verdict": None, "error": line})
         return flown.exit_code or _NO_VERDICT
     if picture is not None:
-        from ptnsbc_tools.plotting.draw import draw_flight
-
-        draw_flight(recording, picture)
+        flight.save_picture(picture)
     show_verdict(verdict, json=json, bag=kept, fleet=facts, picture=picture)
     return flown.exit_code or verdict.exit_code

@@ -107,13 +107,17 @@ def plot(
         str,
         option(
             "--what NAMES",
-            "all, or some of: errors, inputs, separations, force, force-first, torque, torque-first, "
-            "between, obstacles, estimator, gain, conditioning, missed, latency, age; separated by commas.",
+            "all, or some of: errors, inputs, separations, force, torque, between, obstacles, estimator, gain, "
+            "conditioning, missed, latency, age; separated by commas.",
         ),
     ] = _ALL,
     form: Annotated[
         Literal["png", "svg", "pdf"], option("--format", "Format of the files in a folder.")
     ] = "png",
+    width: Annotated[
+        Literal["one", "two"] | None,
+        option("--width", "Columns of a journal: 3.5 or 7.16 in wide, without a title."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
@@ -137,14 +141,15 @@ def plot(
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or _beside(bag, "-figures")
-    if kind == ".pdf":
-        drawn = [figure for _, figure in figures(shown, keys)]
-        written = [draw.save_pages(drawn, folder)] if drawn else []
-    else:
-        written = [
-            draw.save(figure, folder if one else folder / f"{key}.{form}")
-            for key, figure in figures(shown, keys)
-        ]
+    with draw.sized(width):
+        drawn = figures(shown, keys, columns=width)
+        if kind == ".pdf":
+            written = draw.save_pages([figure for _, figure in drawn], folder)
+        else:
+            written = [
+                draw.save(figure, folder if one else folder / f"{key}.{form}")
+                for key, figure in drawn
+            ]
     if not written:
         reason = shown.problem or "the bag has no data for it"
         raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
@@ -164,7 +169,7 @@ def _keys(what: str) -> list[str]:
 
     groups = {
         _ALL: list(CHARTS),
-        "inputs": ["force", "force-first", "torque", "torque-first"],
+        "inputs": ["force", "torque"],
         "separations": ["between", "obstacles"],
         **{key: [key] for key in CHARTS},
     }

@@ -18,7 +18,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, whole
+from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, tolerance_of, whole
 from ptnsbc_tools import ros
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView, view_of
@@ -234,34 +234,40 @@ class Flight(FlightArrays):
             status = read_status(self.bag)
         return view_of(self.recording, status, self.tolerance_m, self.bag)
 
-    def plot(self, what: str = "errors", axes: Any = None) -> Any:
+    def plot(
+        self, what: str = "errors", axes: Any = None, *, legend: bool = True, labels: bool = True
+    ) -> Any:
         """Draw a figure of `ptnsbc plot --what` on Matplotlib axes, by default on new ones, and return them.
 
+        Sizes are those of `rcParams`. `legend` names the curves below the axes, where a figure with
+        `layout="constrained"` has room for it; `labels` names limits and times at their lines.
         FlightError when there is no such figure, or the flight has no data for it.
         """
         if what not in CHARTS:
             raise FlightError(f"{what}: no figure of a flight: {similar(what, CHARTS)}")
-        chart = CHARTS[what](self.view)
+        chart = self.view.chart(what)
         if chart is None:
             reason = self.view.problem or "the flight has no data for it"
             raise FlightError(f"{what}: nothing to draw: {reason}")
         axes = new_axes() if axes is None else axes
-        draw_chart(axes, chart)
+        draw_chart(axes, chart, legend=legend, labels=labels)
         return axes
 
-    def plot_errors(self, axes: Any = None) -> Any:
-        """Draw the formation errors with deadline and tolerance on Matplotlib axes, and return them."""
-        return self.plot("errors", axes)
+    def plot_errors(self, axes: Any = None, *, legend: bool = True, labels: bool = True) -> Any:
+        """Draw the formation errors with deadline and tolerance on Matplotlib axes, and return them; see `plot`."""
+        return self.plot("errors", axes, legend=legend, labels=labels)
 
-    def plot_paths(self, axes: Any = None) -> Any:
-        """Draw paths and obstacles from above on Matplotlib axes, and return them."""
+    def plot_paths(self, axes: Any = None, *, legend: bool = True) -> Any:
+        """Draw paths, the formation and obstacles from above on Matplotlib axes, and return them; see `plot`."""
         axes = new_axes() if axes is None else axes
-        draw_paths(axes, self.recording)
+        draw_paths(axes, self.recording, legend=legend)
         return axes
 
     def save_picture(self, path: str | Path) -> Path:
         """Draw paths and errors into a PNG, SVG or PDF, as `ptnsbc verify --picture` does, and return its path."""
-        return draw_flight(self.recording, Path(path), self.tolerance_m)
+        limit_m = tolerance_of(self.recording, self.tolerance_m)
+        shown = FlightView(self.recording, StatusSeries(), limit_m, self.verdict, "", self.bag)
+        return draw_flight(shown, Path(path))
 
     def save(
         self,

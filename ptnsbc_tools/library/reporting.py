@@ -101,14 +101,17 @@ def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
 
 
 def figures(
-    shown: FlightView, keys: Collection[str], progress: bool | None = True
+    shown: FlightView,
+    keys: Collection[str],
+    progress: bool | None = True,
+    columns: str | None = None,
 ) -> Iterator[tuple[str, Any]]:
-    """The Matplotlib figures of these names for which data is recorded."""
+    """The Matplotlib figures of these names for which data is recorded, see `draw.figure_of`."""
     with console.progress("drawing", progress and bool(keys)) as advance:
         for done, key in enumerate(keys, start=1):
-            chart = CHARTS[key](shown) if shown.uavs else None
+            chart = shown.chart(key)
             if chart is not None:
-                yield key, draw.figure_of(chart, shown.scenario.name)
+                yield key, draw.figure_of(chart, shown.scenario.name, columns)
             advance(done, len(keys))
 
 

@@ -16,16 +16,14 @@ from ptnsbc_tools import console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
 
     from ptnsbc_tools.live.watch import Sink
 
-_WIDE = 110  # columns from which on everything is shown
 _REFRESH_HZ = 4
 _MOST_FAULTS = 5
 _NAME = 5  # letters of the nearest thing
-_BAR = 12
-_BAR_DECADES = 4.0  # a full bar is so many times the tolerance, in powers of ten
+_WAITS = "step, or what it waits for"
+_LEAST = {"error m": 9, "height m": 8, "speed m/s": 9, "nearest m": 9 + _NAME}  # widths
 
 _END_S = 5.0
 _ADDRESS = ("live view: ", "Foxglove: ")
@@ -89,8 +87,7 @@ def picture(frame: dict[str, Any], scenario: Scenario, width: int) -> Renderable
         lines.append(Text(f"and {len(faults) - _MOST_FAULTS} more", "yellow"))
     for line in lines:
         line.truncate(width - 4, overflow="ellipsis")
-    table = _board(frame, scenario) if frame["leg"] == "waiting" else _table(frame, scenario, width)
-    inside = Group(table, *lines)
+    inside = Group(_table(frame, scenario), *lines)
     return Panel(inside, title=_title(frame, scenario), width=width, padding=(0, 1))
 
 
@@ -108,68 +105,41 @@ def _title(frame: dict[str, Any], scenario: Scenario) -> str:
     return " | ".join(parts)
 
 
-def _board(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
-    """The health board before the flight: what each UAV waits for, its fix, its mode and its battery."""
-    table = _empty_table()
-    table.add_column("step, or what it waits for", overflow="fold", ratio=1)
-    for name in ("GNSS fix", "mode"):
-        table.add_column(name, no_wrap=True)
-    for name in ("bat %", "height m"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for uav in frame["uavs"]:
-        words = uav["readiness"] or "not heard", uav["fix"] or "-", _mode(uav)
-        numbers = _number(uav["battery"], 0), _number(uav["pose"] and uav["pose"][2], 2)
-        style = "red" if uav["lost"] or uav["readiness"] is None else ""
-        table.add_row(_name(uav, scenario), *words, *numbers, style=style)
-    return table
-
-
-def _empty_table() -> Table:
+def _table(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
+    """A row for each UAV; before the flight a health board: what each waits for, its fix, mode and battery."""
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
-    table.add_column("UAV", no_wrap=True)
-    return table
-
-
-def _name(uav: dict[str, Any], scenario: Scenario) -> str:
-    return f"{uav['id']} leader" if uav["id"] == scenario.leader.id else str(uav["id"])
-
-
-def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
-    table, tolerance = _empty_table(), scenario.formation.tolerance_m
-    wide = width >= _WIDE
-    battery = any(uav["battery"] is not None for uav in frame["uavs"])
-    if wide:
-        table.add_column("error, log scale", no_wrap=True)
-    names = {"error m": 9, "height m": 8, "speed m/s": 9, "nearest m": 9 + _NAME}
-    for name, least in names.items():
-        table.add_column(name, justify="right", no_wrap=True, min_width=least)
-    table.add_column("mode", no_wrap=True, overflow="ellipsis")
-    if battery:
-        table.add_column("bat %", justify="right", no_wrap=True)
-    if wide:
-        table.add_column("east, north, up m", justify="right", no_wrap=True)
+    waiting = frame["leg"] == "waiting"
+    with_battery = waiting or any(uav["battery"] is not None for uav in frame["uavs"])
     for uav in frame["uavs"]:
-        near, pose = uav["near"], uav["pose"]
-        name = near and near["name"].replace("UAV ", "uav")
-        cells = [
-            _name(uav, scenario),
-            *([_bar(uav["error"], tolerance)] if wide else []),
-            _number(uav["error"], 4),
-            _number(pose and pose[2], 2),
-            _number(uav["speed"], 2),
-            f"{near['distance']:.2f} {name:.{_NAME}}" if near else "-",
-            _mode(uav),
-        ]
-        if battery:
-            cells.append(_number(uav["battery"], 0))
-        if wide:
-            cells.append(" ".join(f"{metres:7.2f}" for metres in pose[:3]) if pose else "-")
-        good = uav["error"] is not None and uav["error"] <= tolerance
-        bad = uav["lost"] or (near and near["room"] < 0)
-        table.add_row(*cells, style="red" if bad else "green" if good else "")
+        height = _number(uav["pose"] and uav["pose"][2], 2)
+        battery = {"bat %": _number(uav["battery"], 0)} if with_battery else {}
+        name = f"{uav['id']} leader" if uav["id"] == scenario.leader.id else str(uav["id"])
+        if waiting:
+            cells = {_WAITS: uav["readiness"] or "not heard", "GNSS fix": uav["fix"] or "-"}
+            cells |= {"mode": _mode(uav), **battery, "height m": height}
+            bad, good = uav["lost"] or uav["readiness"] is None, False
+        else:
+            near, tolerance = uav["near"], scenario.formation.tolerance_m
+            nearest = near and near["name"].replace("UAV ", "uav")[:_NAME]
+            cells = {"error m": _number(uav["error"], 4), "height m": height}
+            cells["speed m/s"] = _number(uav["speed"], 2)
+            cells["nearest m"] = f"{near['distance']:.2f} {nearest}" if near else "-"
+            cells |= {"mode": _mode(uav), **battery}
+            bad = uav["lost"] or (near and near["room"] < 0)
+            good = uav["error"] is not None and uav["error"] <= tolerance
+        if not table.columns:
+            table.add_column("UAV", no_wrap=True)
+            for head in cells:
+                if head == _WAITS:
+                    table.add_column(head, overflow="fold", ratio=1)
+                else:
+                    side: Any = "right" if head.endswith(("m", "m/s", "%")) else "left"
+                    least = _LEAST.get(head)
+                    table.add_column(head, justify=side, no_wrap=True, min_width=least)
+        table.add_row(name, *cells.values(), style="red" if bad else "green" if good else "")
     return table
 
 
@@ -182,19 +152,6 @@ def _mode(uav: dict[str, Any]) -> str:
 
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _bar(error: float | None, tolerance: float) -> str:
-    """Empty at a hundredth of the tolerance, full at a hundred times; the mark is the tolerance."""
-    from math import log10
-
-    if error is None:
-        return ""
-    decades = log10(max(error, 1e-9) / tolerance) + _BAR_DECADES / 2
-    filled = round(_BAR * min(max(decades / _BAR_DECADES, 0.0), 1.0))
-    middle = _BAR // 2
-    bar = "#" * filled + "." * (_BAR - filled)
-    return f"{bar[:middle]}|{bar[middle:]}"
 
 
 @contextmanager

@@ -45,8 +45,6 @@ def stage(scenario: Scenario) -> dict[str, Any]:
         "space": {
             "path": np.round(path, 4).ravel().tolist(),
             "bounds": [low.tolist(), high.tolist()],
-            "legs": [],
-            "deadlines": [],
             "uavs": [
                 {**uav_of(scenario, uav), "avoiding": [], "deadlocks": []}
                 for uav in scenario.uav_ids

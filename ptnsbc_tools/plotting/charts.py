@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import combinations, pairwise, product
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg
 from ptnsbc_sim.verdict import Recording, Track, Verdict, VerdictError, verdict_on
 from ptnsbc_sim.verdict.encounters import Window, encounters, merged, rising
 from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.recording import seconds_since, tolerance_of
+from ptnsbc_sim.verdict.recording import FORMATION, seconds_since, tolerance_of
+from ptnsbc_sim.verdict.verdict import legs_without_deadline
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 # The palette of Okabe and Ito, for all common kinds of colour blindness. On a dark page black and the darkest
@@ -35,7 +37,7 @@ _OTHER_DASH = 3  # of another flight: dots
 OBSTACLE = "#7F7F7F"
 GOOD = "#009E73"
 
-_IN_MEMORY = 20_000  # points of a curve; no figure shows more
+_POINTS = 3000  # of a curve: the extremes of a thousand spans, as many as a figure has pixels
 
 
 class Look(NamedTuple):
@@ -84,7 +86,7 @@ class Chart:
     title: str
     unit: str
     curves: tuple[Curve, ...]
-    log: bool = False
+    floor: float = 0.0  # lower end of the vertical axis; above zero the axis is logarithmic
     limits: tuple[Limit, ...] = ()
     marks: tuple[Mark, ...] = ()
     band: tuple[float, float] | None = None  # good values
@@ -135,32 +137,17 @@ class Thinner:
     A span that has NaN or infinity in it keeps the first of these too, so that a gap stays a gap.
     """
 
-    def __init__(self, total: int, points: int = _IN_MEMORY) -> None:
-        self._short = total <= points
-        self._edges = np.linspace(0, total, max((points - 2) // 3, 2) + 1).astype(np.int64)
-        self._total = total
-        self._taken = 0  # samples of complete spans
-        self._open = Points(np.empty(0), np.empty(0))  # samples of the incomplete span
+    def __init__(self, total: int, points: int = _POINTS) -> None:
+        spans = max((points - 2) // 3, 1)  # three points of each, and both ends
+        self._span = 1 if total <= points else -(-total // spans)
         self._parts: list[Points] = []
 
     def add(self, t: Array, values: Array) -> None:
         """Take the next samples (T,) [s] and (T,), ascending."""
-        if self._short:
-            self._parts.append(Points(t, values))
-            return
-        held = Points(np.append(self._open.t, t), np.append(self._open.values, values))
-        seen = self._taken + held.t.size
-        first, last = np.searchsorted(self._edges, (self._taken, seen), side="right") - 1
-        done = int(self._edges[last]) - self._taken
-        if done:
-            kept = _extremes(held.values, self._edges[first : last + 1] - self._taken)
-            # Both ends of the curve are kept too.
-            kept |= {0} if self._taken == 0 else set()
-            kept |= {done - 1} if seen == self._total else set()
-            chosen = np.array(sorted(kept), dtype=np.int64)
-            self._parts.append(Points(held.t[chosen], held.values[chosen]))
-        self._open = Points(held.t[done:], held.values[done:])
-        self._taken += done
+        if self._span > 1 and t.size:
+            kept = _extremes(values, self._span)
+            t, values = t[kept], values[kept]
+        self._parts.append(Points(t, values))
 
     def points(self) -> Points:
         """The points that are kept."""
@@ -170,31 +157,50 @@ class Thinner:
 
 def thin(t: Array, values: Array, points: int) -> Points:
     """At most `points` points of a curve (T,) [s] and (T,), see `Thinner`."""
-    if t.size <= points:
-        return Points(t, values)
     thinner = Thinner(t.size, points)
     thinner.add(t, values)
     return thinner.points()
 
 
-def _extremes(values: Array, edges: NDArray[np.int64]) -> set[int]:
-    """Indices of the smallest, the largest and the first non-finite value of each span."""
-    kept = set()
-    for begin, end in pairwise(edges.tolist()):
-        part = values[begin:end]
-        bad = np.flatnonzero(~np.isfinite(part))
-        if bad.size:
-            kept.add(begin + int(bad[0]))
-        if bad.size < part.size:
-            kept |= {begin + int(np.nanargmin(part)), begin + int(np.nanargmax(part))}
-    return kept
+def _extremes(values: Array, span: int) -> NDArray[np.int64]:
+    """Indices of both ends, and of the smallest, the largest and the first non-finite value of each span."""
+    begins = np.arange(0, values.size, span)
+    rows = np.full((begins.size, span), np.nan)
+    rows.flat[: values.size] = values
+    finite = np.isfinite(rows)
+    outside = np.arange(rows.size).reshape(rows.shape) >= values.size
+    bad = np.argmax(~finite & ~outside, axis=1)
+    kept = [
+        (begins + bad)[(~finite & ~outside).any(axis=1)],
+        *(
+            (begins + np.argmin(np.where(finite, sign * rows, np.inf), axis=1))[finite.any(axis=1)]
+            for sign in (1.0, -1.0)
+        ),
+        [0, values.size - 1],
+    ]
+    return np.unique(np.concatenate(kept).astype(np.int64))
+
+
+_Key = TypeVar("_Key")
+
+
+def _thinned(
+    total: int, blocks: Iterable[tuple[Array, Mapping[_Key, Array]]]
+) -> dict[_Key, Points]:
+    """The curves of `total` samples that arrive as blocks: times (T,) [s], and values (T,) of each."""
+    thinners = defaultdict[_Key, Thinner](lambda: Thinner(total))
+    for t, values in blocks:
+        for key, of_key in values.items():
+            thinners[key].add(t, of_key)
+    return {key: thinner.points() for key, thinner in thinners.items()}
 
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 
 FLOOR_M = 1e-4  # of logarithmic axes
-MOST_PAIRS = 24  # in one figure
+MOST_DISTANCES = 24  # in one figure
 _FLOOR_MS = 0.1
+_NEAR_M = 0.1  # of an axis that reaches from keep-outs to obstacles far away
 _MOST_LIMITS = 6  # lines of keep-outs in one figure
 
 
@@ -208,6 +214,13 @@ class FlightView:
     verdict: Verdict | None
     problem: str  # why there is no verdict, else empty
     bag: Path | None = None
+    _made: dict[str, Chart | None] = field(default_factory=dict, repr=False, compare=False)
+
+    def chart(self, key: str) -> Chart | None:
+        """The figure of this name in `CHARTS`; None without data for it."""
+        if key not in self._made:
+            self._made[key] = CHARTS[key](self) if self.uavs else None
+        return self._made[key]
 
     @property
     def name(self) -> str:
@@ -226,6 +239,7 @@ class FlightView:
         """UAVs whose odometry is recorded."""
         return tuple(uav for uav in self.scenario.uav_ids if uav in self.recording.odometry)
 
+    @cached_property
     def _instants(self) -> tuple[Track, int, int]:
         """The track whose stamps are the instants shown, and which of its samples they are."""
         tracks = [self.recording.odometry[uav] for uav in self.uavs]
@@ -240,20 +254,18 @@ class FlightView:
     @property
     def samples(self) -> int:
         """Number of instants shown."""
-        _, begin, end = self._instants()
-        return end - begin
+        return self._instants[2] - self._instants[1]
 
     @property
     def window_ns(self) -> Window:
         """First and last instant shown: from just before the epoch as long as every UAV is recorded."""
-        track, begin, end = self._instants()
+        track, begin, end = self._instants
         return track.rows(begin, begin + 1).first_ns, track.rows(end - 1, end).last_ns
 
     def grids(self) -> Iterator[NDArray[np.int64]]:
         """Instants shown, block by block."""
-        track, begin, end = self._instants()
-        for block in track.blocks(begin, end):
-            yield block.t_ns
+        track, begin, end = self._instants
+        return (block.t_ns for block in track.blocks(begin, end))
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
@@ -295,15 +307,31 @@ def _curve_of(flight: FlightView, uav: int, t: Array, values: Array) -> Curve:
     return Curve(f"UAV {uav}{leader}", _look_of(flight, uav), t, values, (uav,))
 
 
-def _samples(flight: FlightView, track: Track | None) -> Points | None:
-    """The samples of a track in the time shown, None when there are none."""
+def _samples(
+    flight: FlightView, track: Track | None, size: Callable[[Array], Array]
+) -> Points | None:
+    """The sizes of the rows of a track in the time shown, None when there are none."""
     begin, end = (0, 0) if track is None else track.span(*flight.window_ns)
     if track is None or begin == end:
         return None
-    found = Thinner(end - begin)
-    for block in track.blocks(begin, end):
-        found.add(flight.times(block.t_ns), block.values[:, 0])
-    return found.points()
+    blocks = track.blocks(begin, end)
+    sizes = ((flight.times(block.t_ns), {0: size(block.values)}) for block in blocks)
+    return _thinned(end - begin, sizes)[0]
+
+
+def _only(rows: Array) -> Array:
+    """The values of a track of one column."""
+    return rows[:, 0]
+
+
+def _curves_of(
+    flight: FlightView,
+    tracks: Mapping[int, Track | None],
+    size: Callable[[Array], Array] = _only,
+) -> list[Curve]:
+    """The curves of the UAVs that have samples in the time shown."""
+    points = {uav: _samples(flight, tracks.get(uav), size) for uav in flight.uavs}
+    return [_curve_of(flight, uav, *of) for uav, of in points.items() if of is not None]
 
 
 def _chart(key: str, title: str, unit: str, curves: Sequence[Curve], **more: Any) -> Chart | None:
@@ -317,24 +345,48 @@ def _chart(key: str, title: str, unit: str, curves: Sequence[Curve], **more: Any
 
 def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
-    curves = defaultdict[int, Thinner](lambda: Thinner(leg.samples))
+    blocks = ((flight.times(one.stamps), formation_errors(leg, one)) for one in leg.blocks())
     try:
-        for block in leg.blocks():
-            for uav, error in formation_errors(leg, block).items():
-                curves[uav].add(flight.times(block.stamps), error)
+        return _thinned(leg.samples, blocks)
     except VerdictError:
         return {}
-    return {uav: curve.points() for uav, curve in curves.items()}
 
 
-def deadlines(flight: FlightView) -> tuple[Mark, ...]:
-    """The deadline of each formation leg."""
-    within = flight.scenario.gains.formation.deadline_s
-    begun = [seconds(t0_ns - flight.recording.start_ns) for t0_ns in flight.recording.forms]
-    return tuple(
-        Mark(begin + within, f"deadline {within:g} s" + (f", leg {number}" if number > 1 else ""))
-        for number, begin in enumerate(begun, start=1)
-    )
+def timeline(flight: FlightView) -> tuple[Mark, ...]:
+    """The deadlines, and when each leg and each change of the shape begins and is due, as far as it is recorded."""
+    recording, scenario = flight.recording, flight.scenario
+    within, words = scenario.gains.formation.deadline_s, defaultdict[float, list[str]](list)
+
+    def note(t_s: float, word: str) -> None:
+        words[round(t_s, 3)].append(word)
+
+    for number, t0_ns in enumerate(recording.forms, start=1):
+        begin_s, of_leg = seconds(t0_ns - recording.start_ns), f", leg {number}"
+        note(begin_s + within, f"deadline {within:g} s" + (of_leg if number > 1 else ""))
+        if number > 1:
+            note(begin_s, f"form{of_leg}")
+    before_s = seconds(recording.start_ns - recording.first_ns)
+    steps: list[tuple[str, float, float | None]] = [
+        (leg.name, leg.begin_s, None if isinstance(leg.leg, LandLeg) else leg.due_s)
+        for leg in scenario.legs
+        if leg.number != FIRST
+    ]
+    if scenario.mission is None:
+        steps = [
+            (f"change {number}", change.at_s, change.at_s + change.over_s)
+            for number, change in enumerate(scenario.formation.changes, 1)
+        ]
+    for name, begin_s, due_s in steps:
+        note(begin_s - before_s, name)
+        if due_s is not None:
+            note(due_s - before_s, f"{name} due")
+    for t0_ns, leg in recording.epochs:
+        t_s = seconds(t0_ns - recording.start_ns)
+        if leg != FORMATION and round(t_s, 3) not in words:
+            note(t_s, leg)
+    begin_s, end_s = flight.seconds(flight.window_ns)
+    shown = sorted((t_s, ", ".join(names)) for t_s, names in words.items())
+    return tuple(Mark(t_s, name) for t_s, name in shown if max(begin_s, 0.0) < t_s <= end_s)
 
 
 def errors(flight: FlightView) -> Chart | None:
@@ -349,22 +401,29 @@ def errors(flight: FlightView) -> Chart | None:
     for uav in flight.uavs:  # with a gap between legs
         pieces = [leg[uav] for leg in legs]
         t = [np.append(piece.t, piece.t[-1]) for piece in pieces]
-        values = [np.append(np.maximum(piece.values, FLOOR_M), np.nan) for piece in pieces]
+        values = [np.append(piece.values, np.nan) for piece in pieces]
         curves.append(_curve_of(flight, uav, np.concatenate(t)[:-1], np.concatenate(values)[:-1]))
     near = merged((one.begin_ns, one.back_ns) for uav in flight.uavs for one in windows[uav])
     shown_s = flight.seconds(flight.window_ns)[1]
     excused = (flight.seconds(window) for window in near)
     begun = [SHARE_OF_START * float(points.values[0]) for leg in legs for points in leg.values()]
     widest = max([flight.tolerance_m, *(start for start in begun if np.isfinite(start))])
-    end = float(max(curve.t[-1] for curve in curves))
+    without = {
+        round(seconds(begin_ns - recording.start_ns), 3)
+        for begin_ns, _ in legs_without_deadline(recording)
+    }
+    marks = (
+        mark._replace(label=f"{mark.label}: formation over") if mark.t in without else mark
+        for mark in timeline(flight)
+    )
     return Chart(
         "errors",
         "Formation error",
         "m",
         tuple(curves),
-        log=True,
+        floor=FLOOR_M,
         limits=(Limit(flight.tolerance_m, f"tolerance {flight.tolerance_m:g} m"),),
-        marks=tuple(mark for mark in deadlines(flight) if mark.t <= end),
+        marks=tuple(marks),
         band=(FLOOR_M, widest),
         band_label=f"widest band, {widest:.2f} m",
         spans=tuple((a, min(b, shown_s)) for a, b in excused if a < shown_s),
@@ -374,20 +433,27 @@ def errors(flight: FlightView) -> Chart | None:
 
 
 def _distances(
-    key: str, title: str, curves: list[Curve], keep_outs: Iterable[float]
+    key: str,
+    title: str,
+    curves: list[Curve],
+    keep_outs: Iterable[float],
+    note: str,
+    floor: float = 0.0,
 ) -> Chart | None:
-    """A chart of the tightest pairs, with the keep-outs as limits."""
-    # nanmin of nothing warns; a pair without a finite distance comes last
+    """A chart of the least distances, with the keep-outs as limits."""
+    # nanmin of nothing warns; a curve without a finite distance comes last
     closest = [float(np.min(np.where(np.isfinite(c.values), c.values, np.inf))) for c in curves]
-    order = sorted(range(len(curves)), key=lambda k: (closest[k], k))[:MOST_PAIRS]
-    left_out = f"The {MOST_PAIRS} tightest of {len(curves)} pairs."
+    order = sorted(range(len(curves)), key=lambda k: (closest[k], k))[:MOST_DISTANCES]
+    radii = sorted(set(keep_outs))[:_MOST_LIMITS]
+    left_out = f" The {MOST_DISTANCES} least of {len(curves)}."
     return _chart(
         key,
         title,
         "m",
         [curves[k] for k in sorted(order)],
-        limits=tuple(Limit(radius, f"keep-out {radius:g} m") for radius in sorted(set(keep_outs))),
-        note=left_out if len(curves) > MOST_PAIRS else "",
+        floor=floor,
+        limits=tuple(Limit(radius, f"keep-out {radius:g} m") for radius in radii),
+        note=note + (left_out if len(curves) > MOST_DISTANCES else ""),
     )
 
 
@@ -399,64 +465,59 @@ def _positions(flight: FlightView) -> Iterator[tuple[Array, dict[int, Array]]]:
 
 
 def between(flight: FlightView) -> Chart | None:
-    """Distances of all pairs of UAVs."""
-    ids = flight.scenario.uav_ids
-    thinners = defaultdict[tuple[int, int], Thinner](lambda: Thinner(flight.samples))
-    for t, places in _positions(flight):
-        for a, b in combinations(flight.uavs, 2):
-            thinners[a, b].add(t, np.linalg.norm(places[a] - places[b], axis=1))
-    curves = []
-    for (a, b), thinner in thinners.items():
-        style = Look(look(ids.index(a)).colour, (ids.index(b) - ids.index(a) - 1) % len(DASHES))
-        curves.append(Curve(f"UAV {a} – {b}", style, *thinner.points(), (a, b)))
-    keep_outs = {flight.scenario.keep_out_between(*pair) for pair in combinations(ids, 2)}
-    shown = sorted(keep_outs)[:_MOST_LIMITS]
-    return _distances("between", "Separation between UAVs", curves, shown)
+    """The distance of every UAV from the nearest other one."""
+    pairs = list(combinations(flight.uavs, 2))
+
+    def nearest(places: Mapping[int, Array]) -> dict[int, Array]:
+        least: dict[int, Array] = {}
+        for pair in pairs:
+            distance = np.linalg.norm(places[pair[0]] - places[pair[1]], axis=1)
+            least |= {uav: np.fmin(least.get(uav, distance), distance) for uav in pair}
+        return least
+
+    points = _thinned(flight.samples, ((t, nearest(places)) for t, places in _positions(flight)))
+    curves = [_curve_of(flight, uav, *points[uav]) for uav in flight.uavs if uav in points]
+    keep_outs = {flight.scenario.keep_out_between(*pair) for pair in pairs}
+    note = "Of each UAV, to the nearest other one."
+    return _distances("between", "Separation between UAVs", curves, keep_outs, note)
 
 
 def obstacles(flight: FlightView) -> Chart | None:
-    """Distances of all UAVs from all obstacles: from the centres of spheres, from the surfaces of all others."""
-    bodies = flight.scenario.world.bodies
-    thinners = defaultdict[tuple[int, int], Thinner](lambda: Thinner(flight.samples))
-    recording = flight.recording
+    """The distance of every obstacle from the nearest UAV."""
+    bodies, recording = flight.scenario.world.bodies, flight.recording
     later_s = seconds(recording.start_ns - recording.first_ns)  # t counts from the judged leg
-    for t, places in _positions(flight):
-        for uav, (number, body) in product(flight.uavs, enumerate(bodies)):
-            thinners[uav, number].add(t, body.distances(places[uav], t + later_s))
-    curves = []
-    for (uav, number), thinner in thinners.items():
-        style = Look(_look_of(flight, uav).colour, number % len(DASHES))
-        name = f"UAV {uav} – {bodies[number].name}"
-        curves.append(Curve(name, style, *thinner.points(), (uav,)))
+
+    def nearest(t: Array, places: Iterable[Array]) -> dict[int, Array]:
+        return {
+            number: np.fmin.reduce([body.distances(place, t + later_s) for place in places])
+            for number, body in enumerate(bodies)
+        }
+
+    blocks = ((t, nearest(t, list(places.values()))) for t, places in _positions(flight))
+    points = _thinned(flight.samples, blocks)
+    curves = [Curve(bodies[k].name, look(k), *of_body, ()) for k, of_body in points.items()]
     radii = (float(body.keep_out_m) for body in bodies)
-    return _distances("obstacles", "Separation from obstacles", curves, radii)
+    note = "Of the nearest UAV: from the centre of a sphere, from the surface of all others."
+    return _distances("obstacles", "Separation from obstacles", curves, radii, note, _NEAR_M)
 
 
 # Inputs
 
 
-def _input(flight: FlightView, kind: str, until_s: float | None = None) -> Chart | None:
-    """The size of the commanded force or torque, of the first second or of all the time shown."""
-    columns, unit = (slice(0, 3), "N") if kind == "force" else (slice(3, 6), "N m")
-    curves = []
-    first_ns, last_ns = flight.window_ns
-    if until_s is not None:
-        epoch_ns = flight.recording.start_ns
-        first_ns = max(first_ns, epoch_ns)
-        last_ns = min(last_ns, epoch_ns + nanoseconds(until_s))
-    for uav in flight.uavs:
-        track = flight.recording.wrench.get(uav)
-        begin, end = (0, 0) if track is None else track.span(first_ns, last_ns)
-        if track is None or end - begin < 2:
-            continue
-        thinner = Thinner(end - begin)
-        for block in track.blocks(begin, end):
-            size = np.linalg.norm(block.values[:, columns], axis=1)
-            thinner.add(flight.times(block.t_ns), size)
-        curves.append(_curve_of(flight, uav, *thinner.points()))
-    limits = _force_limits(flight) if kind == "force" else ()
-    key, when = (kind, "") if until_s is None else (f"{kind}-first", ", first second")
-    return _chart(key, f"Input: {kind}{when}", unit, curves, limits=limits)
+def force(flight: FlightView) -> Chart | None:
+    """The size of the commanded force."""
+    curves = _curves_of(
+        flight, flight.recording.wrench, lambda rows: np.linalg.norm(rows[:, :3], axis=1)
+    )
+    return _chart("force", "Input: force", "N", curves, limits=_force_limits(flight))
+
+
+def torque(flight: FlightView) -> Chart | None:
+    """The size of the commanded torque."""
+    curves = _curves_of(
+        flight, flight.recording.wrench, lambda rows: np.linalg.norm(rows[:, 3:], axis=1)
+    )
+    return _chart("torque", "Input: torque", "N m", curves)
 
 
 def _force_limits(flight: FlightView) -> tuple[Limit, ...]:
@@ -481,59 +542,55 @@ def estimator(flight: FlightView) -> Chart | None:
     tracks = flight.recording.estimate
     estimates = {uav: tracks[uav] for uav in flight.scenario.followers if uav in tracks}
     truth = flight.recording.odometry[leader_id]
-    thinners = defaultdict[int, Thinner](lambda: Thinner(flight.samples))
-    for grid in flight.grids():
+
+    def errors_at(grid: NDArray[np.int64]) -> dict[int, Array]:
         leader = truth.at(grid)[:, :3]
-        for uav, track in estimates.items():
-            error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
-            thinners[uav].add(flight.times(grid), np.maximum(error, FLOOR_M))
-    curves = [_curve_of(flight, uav, *thinner.points()) for uav, thinner in thinners.items()]
+        return {
+            uav: np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
+            for uav, track in estimates.items()
+        }
+
+    blocks = ((flight.times(grid), errors_at(grid)) for grid in flight.grids())
+    points = _thinned(flight.samples, blocks)
+    curves = [_curve_of(flight, uav, *of_uav) for uav, of_uav in points.items()]
     deadline = flight.scenario.gains.estimator.deadline_s
     marks = (Mark(deadline, f"its deadline {deadline:g} s"),)
-    return _chart("estimator", "Error of the estimated leader", "m", curves, marks=marks, log=True)
+    return _chart(
+        "estimator", "Error of the estimated leader", "m", curves, marks=marks, floor=FLOOR_M
+    )
 
 
-def _curves_of(flight: FlightView, tracks: Mapping[int, Track | None]) -> list[Curve]:
-    """The curves of the UAVs that have samples in the time shown."""
-    points = {uav: _samples(flight, tracks.get(uav)) for uav in flight.uavs}
-    return [_curve_of(flight, uav, *of) for uav, of in points.items() if of is not None]
-
-
-def _planner_values(flight: FlightView, key: str) -> list[Curve]:
-    planner = flight.status.planner
-    return _curves_of(flight, {uav: tracks.get(key) for uav, tracks in planner.items()})
+def _of_planners(flight: FlightView, key: str) -> list[Curve]:
+    return _curves_of(flight, {uav: of.get(key) for uav, of in flight.status.planner.items()})
 
 
 def gain(flight: FlightView) -> Chart | None:
     """Gain of the formation loop: the time base until the deadline, kappa after it."""
     deadline = flight.scenario.gains.formation.deadline_s
     marks = (Mark(deadline, f"deadline {deadline:g} s"),)
-    curves = _planner_values(flight, "gain")
+    curves = _of_planners(flight, "gain")
     return _chart("gain", "Gain of the formation loop", "1/s", curves, marks=marks)
 
 
 def conditioning(flight: FlightView) -> Chart | None:
     """Smallest singular value of each task; near zero the task has no solution."""
-    curves = _planner_values(flight, "sigma_min")
+    curves = _of_planners(flight, "sigma_min")
     return _chart("conditioning", "Smallest singular value of the task", "", curves)
 
 
 def missed(flight: FlightView) -> Chart | None:
     """Ticks missed since the epoch."""
-    curves = [
-        replace(curve, values=curve.values - curve.values[0])
-        for curve in _planner_values(flight, "missed_ticks")
-    ]
-    if not any(curve.values.any() for curve in curves):
-        return None
-    return _chart("missed", "Missed ticks", "", curves)
+    told = _of_planners(flight, "missed_ticks")
+    curves = [replace(curve, values=curve.values - curve.values[0]) for curve in told]
+    some = any(curve.values.any() for curve in curves)
+    return _chart("missed", "Missed ticks", "", curves) if some else None
 
 
 def latency(flight: FlightView) -> Chart | None:
     """Age of the wrenches when they reach the simulator."""
     curves = []
     for number, name in enumerate(("p50", "p99", "max")):
-        points = _samples(flight, flight.status.sim.get(f"latency_{name}_ms"))
+        points = _samples(flight, flight.status.sim.get(f"latency_{name}_ms"), _only)
         if points is not None and points.values.any():
             curves.append(Curve(name, look(number), *points, ()))
     period = 1e3 / flight.scenario.timing.control_hz
@@ -544,38 +601,26 @@ def latency(flight: FlightView) -> Chart | None:
 
 def age(flight: FlightView) -> Chart | None:
     """Age of the oldest message of a neighbour that went into each step."""
-    curves = [
-        replace(curve, values=np.maximum(curve.values, _FLOOR_MS))
-        for curve in _curves_of(flight, flight.status.age_ms)
-    ]
+    curves = _curves_of(flight, flight.status.age_ms)
     stale = 1e3 * flight.scenario.communication.stale_s
     limits = (Limit(stale, f"stale, {stale:g} ms"),)
     note = "The oldest that went into each step, by the clocks of sender and receiver."
     title = "Messages from neighbours: age"
-    return _chart("age", title, "ms", curves, limits=limits, note=note, log=True)
+    return _chart("age", title, "ms", curves, limits=limits, note=note, floor=_FLOOR_MS)
 
 
 CHARTS: dict[str, Callable[[FlightView], Chart | None]] = {
-    "errors": errors,
-    "force": partial(_input, kind="force"),
-    # A law that starts far from its goal jumps in the first second.
-    "force-first": partial(_input, kind="force", until_s=1.0),
-    "torque": partial(_input, kind="torque"),
-    "torque-first": partial(_input, kind="torque", until_s=1.0),
-    "between": between,
-    "obstacles": obstacles,
-    "estimator": estimator,
-    "gain": gain,
-    "conditioning": conditioning,
-    "missed": missed,
-    "latency": latency,
-    "age": age,
-}
+    make.__name__: make
+    for make in (
+        errors, force, torque, between, obstacles, estimator, gain, conditioning, missed, latency, age
+    )
+}  # fmt: skip
+"""The figures of a flight, by name."""
 
 
 def charts(flight: FlightView) -> Iterator[Chart]:
     """All figures for which data is recorded."""
-    for make in CHARTS.values() if flight.uavs else ():
-        chart = make(flight)
+    for key in CHARTS:
+        chart = flight.chart(key)
         if chart is not None:
             yield chart

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario import Obstacle
-from ptnsbc_sim.verdict.recording import Recording, tolerance_of
+from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_tools.plotting.charts import (
     COLOURS,
     DASHES,
@@ -25,29 +28,39 @@ from ptnsbc_tools.plotting.charts import (
     Look,
     errors,
     look,
-    thin,
 )
-from ptnsbc_tools.reading.bag_reader import StatusSeries
+from ptnsbc_tools.tables import verdict_line
 
 FORMATS = (".png", ".svg", ".pdf")
+FROM_ABOVE = (0, 1)
+_AXES = ("x (east) [m]", "y (north) [m]", "z (up) [m]")
+COLUMNS_IN: Mapping[str, float] = {"one": 3.5, "two": 7.16}
+"""Widths of the columns of a journal [in]."""
 _SIZE_IN = (9.0, 4.2)
+_HEIGHT = 0.6  # of a figure for a column, of its width
+_COLUMN_FONT = 8.0
 _DPI = 110
-_CURVE_POINTS = 6000  # more than the page has pixels, and small enough for an SVG
 _PATH_POINTS = 4000
-_INSIDE = 12  # curves whose legend stands inside the axes; that of more below them
-_ROW_IN = 0.17  # height of a row of that legend
-_LONGEST_M = 20.0  # half of a cylinder without end
-_UPRIGHT = 0.7  # vertical part of the normal below which a surface is drawn from above
+_WITHOUT_END_M = 100.0  # of planes and endless cylinders
+_UPRIGHT = 0.7  # part of the normal along the line of sight from which on a surface is not drawn
+_EDGE = 0.03  # of the time shown: words of a mark nearer to its end stand before it
+_TITLE = 110  # letters in a line
+_SNAPSHOTS = 5  # of the formation
 _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+_BELOW = 3.2  # from the axes to the legend below them, of the size of the font
+# Widths of a letter of a legend and of what stands before a name, of its size
+_LETTER, _HANDLE = 0.6, 3.5
+_ENTRY_IN, _ROW_IN = 1.0, 0.15  # of a legend
+_SMALL = 0.7  # letters of a legend, of the size of the font
 
-
-_IN_A_ROW = 8  # of a legend below the axes
 # Without these a file contains the date and random names.
 _UNDATED: dict[str, dict[str, None]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
+# Journals take no fonts of type 3.
+_FILES = {"svg.hashsalt": "ptnsbc", "pdf.fonttype": 42, "ps.fonttype": 42}
 
 
 class FigureError(PtnsbcError):
@@ -68,52 +81,94 @@ def blank_figure(size_in: tuple[float, float]) -> Any:
     return figure
 
 
-def draw_chart(axes: Any, chart: Chart) -> None:
-    """Draw a chart on Matplotlib axes."""
-    if chart.log:
+def sized(columns: str | None) -> AbstractContextManager[None]:
+    """Inside the `with` figures have the fonts of one or two columns of a journal; None: of a screen."""
+    from matplotlib import rc_context
+
+    return rc_context({} if columns is None else {"font.size": _COLUMN_FONT})
+
+
+def draw_chart(axes: Any, chart: Chart, *, legend: bool = True, labels: bool = True) -> None:
+    """Draw a chart on Matplotlib axes, in the sizes of `rcParams`.
+
+    `legend`: name the curves, below the axes; `labels`: name limits and times at their lines.
+    """
+    from matplotlib.ticker import NullLocator
+
+    if chart.floor:
         axes.set_yscale("log")
+        axes.yaxis.set_minor_locator(NullLocator())
+    for curve in chart.curves:
+        axes.plot(curve.t, curve.values, label=curve.label, linewidth=1.2, **_style(curve.look))
     for number, (begin, end) in enumerate(chart.spans):
         label = "_" if number else chart.spans_label  # once in the legend
         axes.axvspan(begin, end, color=OBSTACLE, alpha=0.12, linewidth=0, label=label)
     if chart.band is not None:
         axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0, label=chart.band_label)
-    for curve in chart.curves:
-        points = thin(curve.t, curve.values, _CURVE_POINTS)
-        axes.plot(points.t, points.values, label=curve.label, linewidth=1.2, **_style(curve.look))
+    words: dict[str, Any] = {"textcoords": "offset points", "fontsize": "x-small", "bbox": _PAPER}
     for limit in chart.limits:
         axes.axhline(limit.value, color="black", linewidth=0.9, linestyle=":")
-        axes.annotate(limit.label, (1.0, limit.value), xycoords=("axes fraction", "data"),
-                      xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8, bbox=_PAPER)  # fmt: skip
+        if labels:
+            axes.annotate(limit.label, (0.0, limit.value), xycoords=("axes fraction", "data"),
+                          xytext=(4, 3), **words)  # fmt: skip
     for mark in chart.marks:
-        axes.axvline(mark.t, color="black", linewidth=1)
-        axes.annotate(mark.label, (mark.t, 1.0), xycoords=("data", "axes fraction"),
-                      xytext=(4, -10), textcoords="offset points", fontsize=8)  # fmt: skip
-    if not chart.log:
-        axes.set_ylim(bottom=0)
+        axes.axvline(mark.t, color="black", linewidth=0.8)
+    axes.set_ylim(bottom=chart.floor)
     unit = f" [{chart.unit}]" if chart.unit else ""
     axes.set(xlabel="time after the epoch [s]", ylabel=f"{chart.quantity}{unit}")
-    axes.set_title(chart.title, fontsize=10)
-    axes.grid(alpha=0.3, which="both" if chart.log else "major")
+    axes.set_title(chart.title, fontsize="medium")
+    axes.grid(alpha=0.3)
     axes.margins(x=0.01)
-    count = len(chart.curves)
-    if 1 < count <= _INSIDE:
-        entries = len(axes.get_legend_handles_labels()[0])
-        axes.legend(fontsize=7, ncol=2 if entries > 6 else 1, loc="best")
+    begin, end = axes.get_xlim()
+    for mark in chart.marks if labels else ():
+        side = {"xytext": (2, -3), "ha": "left"}
+        if mark.t > end - _EDGE * (end - begin):
+            side = {"xytext": (-3, -3), "ha": "right"}
+        axes.annotate(mark.label, (mark.t, 1.0), xycoords=("data", "axes fraction"),
+                      rotation=90, va="top", **side, **words)  # fmt: skip
+    if legend and len(chart.curves) > 1:
+        _legend_below(axes)
 
 
-def figure_of(chart: Chart, heading: str) -> Any:
-    """A Matplotlib figure of one chart."""
-    width, height = _SIZE_IN
-    count = len(chart.curves)
-    rows = -(-count // _IN_A_ROW) if count > _INSIDE else 0
-    figure = blank_figure((width, height + _ROW_IN * rows))
+def _legend_below(axes: Any) -> None:
+    """Name the curves below the axes, where they cover none; a figure without a layout gets one that has room there."""
+    from matplotlib import rcParams
+    from matplotlib.transforms import ScaledTranslation
+
+    figure, size = axes.get_figure(root=True), rcParams["font.size"]
+    if figure.get_layout_engine() is None:
+        figure.set_layout_engine("constrained")
+    names = axes.get_legend_handles_labels()[1]
+    entry = (_LETTER * np.mean([len(name) for name in names]) + _HANDLE) * _SMALL * size
+    width = 72.0 * axes.get_window_extent().width / figure.dpi
+    down = ScaledTranslation(0.0, -_BELOW * size / 72.0, figure.dpi_scale_trans)
+    axes.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=axes.transAxes + down,
+        ncols=min(max(int(width / entry), 1), len(names)),
+        fontsize=_SMALL * size,
+        frameon=False,
+        handlelength=1.5,
+        columnspacing=1.2,
+    )
+
+
+def figure_of(chart: Chart, heading: str, columns: str | None = None) -> Any:
+    """A Matplotlib figure of one chart; one for columns of a journal has no title, its caption says that."""
+    size = _SIZE_IN
+    if columns is not None:
+        size = COLUMNS_IN[columns], _HEIGHT * COLUMNS_IN[columns]
+    rows = len(chart.curves) * _ENTRY_IN // size[0]  # of the legend, beyond the first
+    figure = blank_figure((size[0], size[1] + _ROW_IN * rows))
     axes = figure.add_subplot()
     draw_chart(axes, chart)
-    if rows:
-        figure.legend(fontsize=7, ncols=_IN_A_ROW, loc="outside lower center")
-    if chart.note:
-        figure.supxlabel(chart.note, fontsize=7, x=0.01, ha="left")
-    axes.set_title(f"{heading}: {chart.title}", fontsize=10)
+    if columns is None:
+        axes.set_title(f"{heading}: {chart.title}", fontsize="medium")
+        if chart.note:
+            figure.supxlabel(chart.note, fontsize="x-small", x=0.01, ha="left")
+    else:
+        axes.set_title("")
     return figure
 
 
@@ -132,103 +187,125 @@ def save(figure: Any, path: Path) -> Path:
     import matplotlib
 
     kind = format_of(path)
-    metadata = _UNDATED[kind]
-    with replacing(path, folder=True) as part, matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
-        figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
+    with replacing(path, folder=True) as part, matplotlib.rc_context(_FILES):
+        figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=_UNDATED[kind])
     return path
 
 
-def save_pages(figures: Sequence[Any], path: Path) -> Path:
-    """Write figures as the pages of one PDF."""
+def save_pages(figures: Sequence[Any], path: Path) -> list[Path]:
+    """Write figures as the pages of one PDF; no file for none."""
+    if not figures:
+        return []
+    from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
 
-    with replacing(path, folder=True) as part, PdfPages(part, metadata=_UNDATED[".pdf"]) as pages:
+    with (
+        replacing(path, folder=True) as part,
+        rc_context(_FILES),
+        PdfPages(part, metadata=_UNDATED[".pdf"]) as pages,
+    ):
         for figure in figures:
             pages.savefig(figure)
-    return path
+    return [path]
 
 
-def draw_paths(axes: Any, recording: Recording, paths: dict[int, Array] | None = None) -> None:
-    """Draw the paths of all legs and the obstacles from above; `paths` where they are read already."""
-    for index, (uav, path) in enumerate((paths or _paths(recording)).items()):
-        style = _style(look(index))
-        leader = " (leader)" if uav == recording.flown.leader.id else ""
-        axes.plot(path[:, 0], path[:, 1], label=f"UAV {uav}{leader}", linewidth=1.3, **style)
-        axes.plot(*path[0, :2], marker="o", color=style["color"], markersize=4)
-        axes.plot(*path[-1, :2], marker="s", color=style["color"], markersize=5)
-    for obstacle in recording.scenario.world.bodies:
-        _obstacle_from_above(axes, obstacle)
-    for obstacle in recording.scenario.world.bodies:
-        if obstacle.path is not None:
-            times = np.linspace(0.0, recording.scenario.timing.duration_s, _PATH_POINTS)
-            way = obstacle.motion(times).positions
-            axes.plot(way[:, 0], way[:, 1], color=OBSTACLE, linewidth=1.0, linestyle=":")
-    axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
-    axes.set_title("From above; ○ start, □ end, grey: keep-out", fontsize=9)
+def draw_paths(
+    axes: Any, recording: Recording, *, view: tuple[int, int] = FROM_ABOVE, legend: bool = True
+) -> None:
+    """Draw the paths of all legs, the formation at some times, and the obstacles where they were then.
+
+    `view`: the axes of the world, to the right and up.
+    """
+    from matplotlib.lines import Line2D
+
+    paths, times, scenario = _paths(recording), _snapshots(recording), recording.flown
+    colours = {uav: COLOURS[look(index).colour] for index, uav in enumerate(paths)}
+    for index, (uav, path) in enumerate(paths.items()):
+        leader = " (leader)" if uav == scenario.leader.id else ""
+        label = f"UAV {uav}{leader}"
+        axes.plot(*path[:, view].T, label=label, linewidth=1.0, **_style(look(index)))
+    stamps = recording.start_ns + np.array([nanoseconds(t) for t in times])
+    places, later_s = (
+        recording.at(stamps).positions,
+        seconds(recording.start_ns - recording.first_ns),
+    )
+    names = [
+        (f"{t:.3g} s", place)
+        for t, place in zip(times, places[scenario.leader.id][:, view], strict=True)
+    ]
+    for uav, place in places.items():
+        parent = scenario.communication.parent(uav)
+        for own, other in zip(place, places[parent], strict=True) if parent is not None else ():
+            axes.plot(*np.stack([own, other])[:, view].T, color="black", linewidth=1.2, alpha=0.6)
+        axes.plot(*place[:, view].T, "o", color=colours[uav], markersize=5)
+    flown = np.concatenate(list(paths.values()))[:, view]
+    low, high = np.nanmin(flown, axis=0), np.nanmax(flown, axis=0)
+    for obstacle in scenario.world.bodies:
+        moves = obstacle.path is not None
+        centres = obstacle.motion(np.array(times if moves else times[:1]) + later_s).positions
+        for k, centre in enumerate(centres, 1):
+            _outline(axes, obstacle, centre, view, 0.4 * k / len(centres))
+        seen = [place for place in centres[:, view] if (low < place).all() and (place < high).all()]
+        names += [(obstacle.name, place) for place in seen[-1:]]
+        if moves:
+            way = obstacle.motion(np.linspace(0.0, times[-1] + later_s, _PATH_POINTS)).positions
+            # No plot: what flies is fitted into the axes, and not the way of an obstacle.
+            axes.add_artist(Line2D(*way[:, view].T, color=OBSTACLE, linewidth=1.0, linestyle=":"))
+    axes.set(xlabel=_AXES[view[0]], ylabel=_AXES[view[1]])
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("From above" if view == FROM_ABOVE else "From the south", fontsize="medium")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, loc="upper right")
+    if legend:
+        _legend_below(axes)
+    _name(axes, names)
 
 
-def _obstacle_from_above(axes: Any, obstacle: Obstacle) -> None:
-    """A sphere's keep-out, the outline of another body, the line of an upright surface; nothing of a level one."""
+def _snapshots(recording: Recording) -> list[float]:
+    """Times [s] at which the formation is shown: the start, the deadline, and some until the end of the leg."""
+    deadline_s = recording.flown.gains.formation.deadline_s
+    end_s = float(seconds(recording.end_ns - recording.start_ns))
+    if end_s <= deadline_s:
+        return [0.0, end_s]
+    return [0.0, *np.linspace(deadline_s, end_s, _SNAPSHOTS - 1).tolist()]
+
+
+def _name(axes: Any, names: Sequence[tuple[str, Array]]) -> None:
+    """Write names beside their points (2,), each where it covers neither another name nor a UAV."""
+    from matplotlib.transforms import Bbox
+
+    axes.get_figure(root=True).draw_without_rendering()  # where the layout has put the axes
+    lines = [line.get_xydata() for line in axes.lines if line.get_marker() == "o"]
+    dots = axes.transData.transform(np.concatenate(lines))
+    taken = [Bbox.from_extents(*(dot - 3.0), *(dot + 3.0)) for dot in dots]
+    around = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+    for name, point in names:
+        text = axes.annotate(name, point, (0, 0), textcoords="offset points", ha="center",
+                             va="center", fontsize="x-small", zorder=5, bbox=_PAPER)  # fmt: skip
+        for far, angle in product((9.0, 16.0, 24.0, 34.0), around):
+            text.set_position((far * np.sin(angle), far * np.cos(angle)))
+            box = text.get_window_extent()
+            if not any(Bbox.intersection(box, other) for other in taken):
+                break
+        taken.append(box)
+
+
+def _outline(
+    axes: Any, obstacle: Obstacle, centre: Array, view: Sequence[int], alpha: float
+) -> None:
+    """The outline of an obstacle, of a sphere that of its keep-out; nothing of a surface seen from its front."""
     from matplotlib.patches import Circle, Polygon
+    from scipy.spatial import ConvexHull
 
-    centre = tuple(obstacle.position[:2])
-    look: dict[str, Any] = {"color": OBSTACLE, "alpha": 0.35}
-    if obstacle.kind == "sphere":
-        axes.add_patch(Circle(centre, obstacle.keep_out_m, **look))
-    elif obstacle.kind == "cylinder":
-        axes.add_patch(Circle(centre, obstacle.size[0], **look))
-    elif obstacle.kind == "box":
-        from scipy.spatial import ConvexHull
-
-        corners = _corners(obstacle)[:, :2]
-        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], **look))
-    elif np.abs(obstacle.axes[2, 2]) < _UPRIGHT:
-        along = np.array([-obstacle.axes[1, 2], obstacle.axes[0, 2]])
-        axes.axline(centre, tuple(np.array(centre) + along), color=OBSTACLE, linewidth=2.0)
-    else:
-        return
-    axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=8)
-
-
-def _corners(obstacle: Obstacle) -> Array:
-    """Corners (8, 3) [m] of a box."""
-    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    return np.asarray(obstacle.position + (signs * obstacle.size) @ obstacle.axes.T)
-
-
-def _surface(obstacle: Obstacle) -> Array | None:
-    """Points (3, U, V) [m] of the surface that is drawn in space; None for surfaces without end."""
-    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
-    if obstacle.kind == "sphere":
-        ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
-        return np.asarray(obstacle.position[:, None, None] + obstacle.keep_out_m * ball)
-    if obstacle.kind == "cylinder":
-        half = min(float(obstacle.size[1]), _LONGEST_M)
-        tube = np.stack(
-            [obstacle.size[0] * np.cos(turn), obstacle.size[0] * np.sin(turn), half * np.cos(rise)]
-        )
-        return np.asarray(obstacle.position[:, None, None] + tube)
-    return None
-
-
-def _in_space(axes: Any, recording: Recording, paths: dict[int, Array]) -> None:
-    for index, path in enumerate(paths.values()):
-        axes.plot(path[:, 0], path[:, 1], path[:, 2], linewidth=1.3, **_style(look(index)))
-    for obstacle in recording.scenario.world.bodies:
-        surface = _surface(obstacle)
-        if surface is not None:
-            axes.plot_surface(*surface, color=OBSTACLE, alpha=0.3, linewidth=0)
-        elif obstacle.kind == "box":
-            corners = _corners(obstacle)
-            for a, b in combinations(range(8), 2):
-                if (a ^ b).bit_count() == 1:  # an edge
-                    axes.plot(*corners[[a, b]].T, color=OBSTACLE, linewidth=1.0)
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    limits = axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()
-    axes.set_box_aspect([np.ptp(pair) for pair in limits])
-    axes.set_title("In space", fontsize=9)
+    style: dict[str, Any] = {"color": OBSTACLE, "alpha": alpha, "linewidth": 1.0}
+    [across] = {0, 1, 2} - set(view)
+    body = obstacle.drawn(_WITHOUT_END_M)
+    if obstacle.kind == "sphere" or (obstacle.kind == "cylinder" and across == 2):
+        axes.add_artist(Circle((centre[view[0]], centre[view[1]]), 0.5 * body.size[0], **style))
+    elif obstacle.kind in ("box", "cylinder") or abs(obstacle.axes[across, 2]) < _UPRIGHT:
+        signs = np.array(list(product((-0.5, 0.5), repeat=3)))
+        middle = body.centre - obstacle.position + centre
+        corners = (middle + (signs * body.size) @ obstacle.axes.T)[:, view]
+        axes.add_artist(Polygon(corners[ConvexHull(corners).vertices], **style))
 
 
 def _paths(recording: Recording) -> dict[int, Array]:
@@ -240,19 +317,22 @@ def _paths(recording: Recording) -> dict[int, Array]:
     return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
 
 
-def draw_flight(recording: Recording, path: Path, tolerance: float | None = None) -> Path:
-    """Draw a recording that has a verdict into a PNG, SVG or PDF: from above, in space, and its formation error."""
-    figure, paths = blank_figure((12, 9)), _paths(recording)
-    panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
-    draw_paths(figure.add_subplot(panels[0, 0]), recording, paths)
-    _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, paths)
-    limit_m = tolerance_of(recording, tolerance)
-    chart = errors(FlightView(recording, StatusSeries(), limit_m, None, ""))
+def draw_flight(flight: FlightView, path: Path) -> Path:
+    """Draw a flight into a PNG, SVG or PDF: its verdict, its paths from two sides, and its formation error."""
+    figure, scenario = blank_figure((12, 10)), flight.scenario
+    panels = figure.add_gridspec(2, 2, height_ratios=(5, 4), width_ratios=(3, 2))
+    views = {view: figure.add_subplot(panels[0, k]) for k, view in enumerate((FROM_ABOVE, (0, 2)))}
+    chart = errors(flight)
     if chart is not None:
         draw_chart(figure.add_subplot(panels[1, :]), chart)
-    scenario = recording.flown
-    figure.suptitle(
-        f"{scenario.name}: {scenario.plant.kind}, task {scenario.task_name}, "
-        f"profile {scenario.gains.profile}, avoidance {scenario.formation.avoidance}"
+    figure.supxlabel(
+        f"{scenario.plant.kind}, task {scenario.task_name}, profile {scenario.gains.profile}, "
+        f"avoidance {scenario.formation.avoidance}",
+        fontsize="small",
     )
+    if flight.verdict is not None:
+        line = verdict_line(flight.verdict).plain.removeprefix("Verdict: ")
+        figure.suptitle(textwrap.fill(f"{scenario.name}: {line}", _TITLE))
+    for view, axes in views.items():  # last: names need the layout
+        draw_paths(axes, flight.recording, view=view, legend=False)
     return save(figure, path)

@@ -34,17 +34,16 @@ from ptnsbc_tools.plotting.charts import (
     Chart,
     FlightView,
     charts,
-    deadlines,
     look,
     overlaid,
     thin,
+    timeline,
 )
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
 
 _FRAME_HZ = 25  # the script interpolates between frames
 _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
 _MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
-_CURVE_POINTS = 2000
 _PATH_POINTS = 400
 _WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that moves
@@ -78,7 +77,7 @@ class Pack:
 
 def compressed(data: bytes) -> str:
     """Gzip in base64, without the time of day."""
-    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode("ascii")
 
 
 def content(flight: FlightView, other: FlightView | None = None) -> str:
@@ -87,7 +86,7 @@ def content(flight: FlightView, other: FlightView | None = None) -> str:
     if other is not None:
         shown = overlaid(shown, list(charts(other)), f"flight {other.name}")
     curves = max(sum(len(chart.curves) for chart in shown), 1)
-    points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
+    points = max(_MOST_POINTS // curves, 50)
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
         "space": _space(flight, pack) if flight.uavs and flight.samples > 1 else None,
@@ -126,7 +125,6 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
     vector = leader_trajectory(scenario)
     path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
     path = np.stack([reference(vector, float(one)).position for one in path_t])
-    begins = [(seconds(t0_ns - recording.start_ns), leg) for t0_ns, leg in recording.epochs]
     flown_s, beside = np.maximum(seconds(stamps - recording.first_ns), 0.0), {}
     if scenario.formation.moves:  # (F, 3), beside the leader
         beside = {
@@ -138,8 +136,7 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "t": pack.add(t),
         "poses": pack.add(np.stack(poses, axis=1)),  # (F, N, 7)
         "path": pack.add(path),
-        "legs": [(begin, leg) for begin, leg in begins if 0 < begin <= float(t[-1])],
-        "deadlines": [mark.t for mark in deadlines(flight)],
+        "marks": timeline(flight),
         "uavs": [
             {
                 **uav_of(scenario, uav),
@@ -210,8 +207,7 @@ def asset(name: str) -> str:
 @cache
 def plotly() -> str:
     """The library plotly.js, compressed: it is larger than all the rest of the page."""
-    library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
-    return compressed(library)
+    return compressed(files("plotly").joinpath("package_data", "plotly.min.js").read_bytes())
 
 
 def _facts(flight: FlightView, about: Mapping[str, str]) -> str:

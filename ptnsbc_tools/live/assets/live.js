@@ -103,7 +103,7 @@ class LivePage extends Page {
     if (!this.motion.add(t, poses)) return;
     this.data.charts[0].curves.forEach((curve, k) => {
       curve.t.push(t);
-      curve.values.push(errors[k] === null ? NaN : Math.max(errors[k], 1e-4));
+      curve.values.push(errors[k] === null ? NaN : errors[k]);
     });
   }
 
@@ -218,7 +218,7 @@ class Board {
 function dataOf(stage) {
   const curves = stage.space.uavs.map((uav) => ({
     label: `UAV ${uav.id}${uav.leader ? " (leader)" : ""}`, uavs: [uav.id], colour: uav.colour, dash: uav.dash, t: [], values: [] }));
-  const errors = { key: "errors", title: "Formation error", unit: "m", log: true, note: "", band: null,
+  const errors = { key: "errors", title: "Formation error", unit: "m", floor: 1e-4, note: "", band: null,
     limits: [[stage.tolerance, `tolerance ${stage.tolerance} m`]], marks: [], spans: [], curves };
   const space = { ...stage.space, path: Float64Array.from(stage.space.path) };
   return { stage, colours: stage.colours, space, charts: [errors] };

@@ -1,11 +1,12 @@
 // A camera that turns around a point, and what the pointer and the keys do to it.
 
 class Camera {
-  constructor(low, high) {
+  /** `points`: what the view shows whole at first. */
+  constructor(low, high, points) {
     const centre = low.map((one, i) => (one + high[i]) / 2);
     const radius = Math.max(Math.hypot(...low.map((one, i) => high[i] - one)) / 2, 3);
     this.home = { azimuth: -2.15, elevation: 0.42, centre, radius };
-    this.corners = Array.from({ length: 8 }, (_, k) => low.map((one, i) => ((k >> i) & 1 ? high[i] : one)));
+    this.points = points;
     this.fov = 0.7;
     this.reset();
   }
@@ -18,12 +19,12 @@ class Camera {
     this.unfit = true; // until the size of the picture is known
   }
 
-  /** Move so that all corners just fill the picture. */
+  /** Move so that all points just fill the picture. */
   fit(width, height) {
     this.unfit = false;
     for (let round = 0; round < 8; round++) {
       this.aim(width, height);
-      const seen = this.corners.map((one) => this.project(one));
+      const seen = this.points.map((one) => this.project(one));
       const [xs, ys] = [seen.map((one) => one[0]), seen.map((one) => one[1])];
       const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
       this.pan((width - x0 - x1) / 2, (height - y0 - y1) / 2);

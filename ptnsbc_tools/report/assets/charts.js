@@ -72,7 +72,7 @@ class Figures {
       card.append(note);
     }
     this.box.append(card);
-    return { chart, card, plot, cursor, asked: false, drawn: false, seen: false, linked: !chart.key.endsWith("-first") };
+    return { chart, card, plot, cursor, asked: false, drawn: false, seen: false };
   }
 
   /** Draw all the others while nothing else is to be done: what is printed or searched is complete. */
@@ -128,8 +128,10 @@ class Figures {
       font: { color: colour("--soft"), size: 12, family: "system-ui, sans-serif" },
       xaxis: { ...axis, title: { text: "time after the epoch [s]", standoff: 6 }, hoverformat: ".2f",
         // The same span for all over the whole time, so that their lines stand below each other.
-        ...(chart.key.endsWith("-first") ? {} : { range: [this.state.clock.begin, this.state.clock.end] }) },
-      yaxis: { ...axis, type: chart.log ? "log" : "linear", ...(chart.log ? { exponentformat: "power", dtick: 1, tickfont: { size: 9.5 } } : { rangemode: "tozero" }) },
+        range: [this.state.clock.begin, this.state.clock.end] },
+      yaxis: { ...axis, ...(chart.floor
+        ? { type: "log", range: [Math.log10(chart.floor), null], exponentformat: "power", dtick: 1, tickfont: { size: 9.5 } }
+        : { rangemode: "tozero" }) },
       showlegend: legend,
       // Shown and hidden in one place for all figures, not here.
       legend: { orientation: "h", yref: "container", y: 0, yanchor: "bottom", font: { size: 11.5 },
@@ -157,12 +159,13 @@ class Figures {
     for (const [value, label] of chart.limits) {
       shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: value, y1: value,
         line: { color: colour("--ink"), width: 1.2, dash: "dot" } });
-      words(label, { xref: "paper", x: 1, xanchor: "right", y: chart.log ? Math.log10(value) : value, yanchor: "bottom" });
+      // On the left: on the right it would stand under the tool bar.
+      words(label, { xref: "paper", x: 0, xanchor: "left", y: chart.floor ? Math.log10(value) : value, yanchor: "bottom" });
     }
     for (const [time, label] of chart.marks) {
       shapes.push({ type: "line", yref: "paper", y0: 0, y1: 1, x0: time, x1: time,
         line: { color: colour("--ink"), width: 1.4 } });
-      words(label, { yref: "paper", y: 1, yanchor: "top", x: time, xanchor: "left", xshift: 3 });
+      words(label, { yref: "paper", y: 1, yanchor: "top", x: time, xanchor: "left", xshift: 1, textangle: -90 });
     }
     return { shapes, annotations };
   }
@@ -182,12 +185,12 @@ class Figures {
   /** Whoever zooms in time takes the others along. */
   zoomed(one, change) {
     this.mark(one);
-    if (this.syncing || !one.linked) return;
+    if (this.syncing) return;
     const range = change["xaxis.range"] || [change["xaxis.range[0]"], change["xaxis.range[1]"]];
     const whole = change["xaxis.autorange"];
     if (!whole && !Number.isFinite(range[0])) return;
     this.syncing = true;
-    const others = this.charts.filter((other) => other !== one && other.linked && other.drawn);
+    const others = this.charts.filter((other) => other !== one && other.drawn);
     const wish = whole ? { "xaxis.autorange": true } : { "xaxis.range": [...range], "xaxis.autorange": false };
     Promise.all(others.map((other) => Plotly.relayout(other.plot, wish))).finally(() => { this.syncing = false; });
   }

@@ -78,7 +78,7 @@ class Page {
     });
   }
 
-  /** Deadline and encounters above the slider. */
+  /** Legs, changes, deadlines and encounters above the slider. */
   events() {
     const { begin, end } = this.clock;
     const part = (time) => `${(100 * (Math.min(Math.max(time, begin), end) - begin)) / (end - begin)}%`;
@@ -99,12 +99,25 @@ class Page {
         add("mark", { left: part(from) }).append(words);
       }
     }
-    const { deadlines, legs } = this.data.space;
-    for (const [time, name] of [...deadlines.map((time) => [time, "deadline"]), ...legs]) {
-      if (time <= begin || time >= end) continue;
-      const words = document.createElement("span");
-      words.textContent = name;
+    for (const [time, name] of this.data.space.marks) {
+      const words = Object.assign(document.createElement("span"), { textContent: name });
       add("mark", { left: part(time) }).append(words);
+    }
+    this.spread();
+    window.addEventListener("resize", () => this.spread());
+  }
+
+  /** The names above the slider in rows, so that none stands on another; one for which no row is left is not shown. */
+  spread() {
+    const ends = [0, 0];
+    const names = [...document.querySelectorAll("#events .mark span")];
+    const places = new Map(names.map((words) => [words, words.getBoundingClientRect()]));
+    for (const words of names.sort((a, b) => places.get(a).left - places.get(b).left)) {
+      const { left, right } = places.get(words);
+      const row = ends.findIndex((taken) => left > taken + 6);
+      words.style.visibility = row < 0 ? "hidden" : "visible";
+      words.dataset.row = Math.max(row, 0);
+      if (row >= 0) ends[row] = right;
     }
   }
 

@@ -5,6 +5,8 @@ const RING = Array.from({ length: 49 }, (_, k) => {
   return [Math.cos(angle), Math.sin(angle)];
 });
 const NEAR = 0.2; // [m] in front of the eye
+const FIT_POINTS = 150; // instants that the view at the beginning shows whole
+const LEAST_ARM = 14; // [pixels]
 const NAME_FONT = "600 12px system-ui, sans-serif";
 const NAME_HALF = 11; // of the height of a name with its line [pixels]
 const COVERED_NAME = 10; // cost of a square pixel: a name has to be readable,
@@ -31,36 +33,33 @@ class Scene {
     }).observe(canvas);
   }
 
-  /** Bounds of everything, and the floor under it. */
+  /** Bounds of what flies, and the floor under it. */
   measure() {
     const low = [Infinity, Infinity, Infinity];
     const high = [-Infinity, -Infinity, -Infinity];
-    const take = (point, margin = 0) => {
+    const flown = [];
+    const every = Math.ceil(this.space.t.length / FIT_POINTS);
+    for (let k = 0; k < this.space.t.length; k += every) {
+      for (let i = 0; i < this.motion.count; i++) flown.push(this.motion.place(k, i));
+    }
+    if (this.space.bounds) { // of a flight that goes on
+      for (let k = 0; k < 8; k++) flown.push([0, 1, 2].map((i) => this.space.bounds[(k >> i) & 1][i]));
+    }
+    for (const point of flown) {
       for (let i = 0; i < 3; i++) {
         if (!Number.isFinite(point[i])) continue;
-        low[i] = Math.min(low[i], point[i] - margin);
-        high[i] = Math.max(high[i], point[i] + margin);
+        low[i] = Math.min(low[i], point[i]);
+        high[i] = Math.max(high[i], point[i]);
       }
-    };
-    const { t, obstacles } = this.space;
-    for (let k = 0; k < t.length; k++) {
-      for (let i = 0; i < this.motion.count; i++) take(this.motion.place(k, i));
     }
-    for (const one of obstacles) {
-      if (one.kind === "sphere") take(one.place, one.keepOut);
-      else if (one.kind === "box") for (const face of this.faces(one, one.place)) face.forEach((point) => take(point));
-      else if (one.kind === "cylinder") take(one.place, one.half[0]);
-    }
-    for (const one of this.space.bounds || []) take(one); // of a flight that goes on
     for (let i = 0; i < 3; i++) if (!Number.isFinite(low[i])) [low[i], high[i]] = [-1, 1];
     this.floor = low[2] >= -0.5 && low[2] < 30 ? 0 : Math.floor(low[2]);
     const span = Math.max(high[0] - low[0], high[1] - low[1], 4);
     this.step = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((one) => span / one <= 14) || 1000;
     const snap = (value, up) => (up ? Math.ceil(value / this.step) : Math.floor(value / this.step)) * this.step;
     this.ground = [snap(low[0] - 1, false), snap(low[1] - 1, false), snap(high[0] + 1, true), snap(high[1] + 1, true)];
-    const bottom = Math.min(this.floor, low[2]);
-    const [west, south, east, north] = this.ground;
-    this.camera = new Camera([west, south, bottom], [east, north, high[2]]);
+    const seen = flown.filter((point) => Number.isFinite(point[0] + point[1] + point[2]));
+    this.camera = new Camera(low, high, seen.length ? seen : [low, high]);
   }
 
   /** Show a time; `inFrame`: the browser is about to draw, another turn would halve the rate. */
@@ -108,13 +107,13 @@ class Scene {
   paintNames() {
     const { pen } = this;
     pen.font = NAME_FONT;
-    this.names.sort((a, b) => a.uav.id - b.uav.id); // by depth they would change places
-    const taken = this.names.map(({ x, y, size }) => [x - size, y - size, x + size, y + size, COVERED_UAV]);
+    this.names.sort((a, b) => a.order - b.order); // by depth they would change places
+    const taken = this.names.filter(({ size }) => size)
+      .map(({ x, y, size }) => [x - size, y - size, x + size, y + size, COVERED_UAV]);
     for (const one of this.names) {
-      const words = one.uav.leader ? `${one.uav.id} leader` : `${one.uav.id}`;
-      const half = pen.measureText(words).width / 2;
+      const half = pen.measureText(one.words).width / 2;
       let best = null;
-      for (const [right, down, far] of NAME_PLACES) {
+      for (const [right, down, far] of one.size ? NAME_PLACES : [[0, 0, 0], ...NAME_PLACES]) {
         const x = one.x + right * (one.size + half + far);
         const y = one.y + down * (one.size + NAME_HALF + far);
         const cost = far + taken.reduce((sum, [x0, y0, x1, y1, weight]) => {
@@ -126,7 +125,7 @@ class Scene {
         if (cost <= far) break; // free, and no place after it is nearer
       }
       taken.push([best.x - half - 2, best.y - NAME_HALF, best.x + half + 2, best.y + NAME_HALF, COVERED_NAME]);
-      Object.assign(one, { words, place: best });
+      one.place = best;
     }
     for (const one of this.names) this.lead(one);
     for (const { words, place, colour } of this.names) this.name(words, place, colour);
@@ -136,7 +135,7 @@ class Scene {
   lead({ x, y, place, colour }) {
     if (!place.far) return;
     const { pen } = this;
-    pen.strokeStyle = colour;
+    pen.strokeStyle = colour || this.colour("--soft");
     pen.lineWidth = 1;
     pen.beginPath();
     pen.moveTo(x, y);
@@ -246,17 +245,16 @@ class Scene {
     }
   }
 
-  /** A name at a point; of a point beyond the edge, on the part of the body of this radius that is in the picture. */
+  /** The name of an obstacle at a point; of one beyond the edge, on the part of it, of this radius, that is in the picture. */
   label(words, x, y, radius) {
     const { pen, camera } = this;
-    pen.fillStyle = this.colour("--ink");
-    pen.font = "600 12px system-ui, sans-serif";
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
+    pen.font = NAME_FONT;
     const away = [pen.measureText(words).width / 2 + 4, NAME_HALF];
     const seen = [x, y].map((at, i) => Math.min(Math.max(at, away[i]), 2 * camera.middle[i] - away[i]));
     const shift = Math.hypot(seen[0] - x, seen[1] - y);
-    if (shift < Math.max(radius - NAME_HALF, 2 * away[0])) pen.fillText(words, ...seen);
+    if (shift < Math.max(radius - NAME_HALF, 2 * away[0])) {
+      this.names.push({ words, x: seen[0], y: seen[1], size: 0, order: -1 });
+    }
   }
 
   /** The faces of a body that is no sphere, each a ring of points; of a surface without end as much as the floor has. */
@@ -472,7 +470,7 @@ class Scene {
   /** Arms and rotors in the attitude that was recorded; never smaller than the eye can see. */
   craft(uav, pose, [x, y, , scale]) {
     const { pen } = this;
-    const arm = Math.max(0.2, 11 / scale);
+    const arm = Math.max(0.2, LEAST_ARM / scale);
     const turned = rotation(pose);
     const at = (forward, left) => this.camera.project([0, 1, 2].map(
       (i) => pose[i] + arm * (forward * turned[3 * i] + left * turned[3 * i + 1])));
@@ -500,7 +498,7 @@ class Scene {
       pen.stroke();
     }
     this.halo(uav, x, y, arm * scale);
-    this.names.push({ uav, x, y, size: arm * scale, colour });
+    this.names.push({ words: uav.leader ? `${uav.id} leader` : `${uav.id}`, order: uav.id, x, y, size: arm * scale, colour });
   }
 
   halo(uav, x, y, size) {
@@ -524,6 +522,7 @@ class Scene {
     pen.strokeText(words, x, y);
     pen.fillStyle = this.colour("--ink");
     pen.fillText(words, x, y);
+    if (!colour) return;
     pen.fillStyle = colour;
     pen.fillRect(x - half, y + 7, 2 * half, 2);
   }

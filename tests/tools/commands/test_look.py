@@ -33,7 +33,7 @@ def test_a_page_and_pictures(tmp_path: Path) -> None:
     assert (code, told["verdict"], told["problem"]) == (0, "met", None)
     assert Path(told["report"]) == tmp_path / "out" / "index.html"
     pictures = {Path(one).name for one in told["pictures"]}
-    assert {"errors.png", "force-first.png", "between.png", "estimator.png"} <= pictures
+    assert {"errors.png", "force.png", "between.png", "estimator.png"} <= pictures
     assert {one.name for one in (tmp_path / "out").iterdir()} == {"index.html", *pictures}
 
 
@@ -98,7 +98,7 @@ def test_a_flight_that_cannot_be_judged_has_a_page_that_says_why(tmp_path: Path)
             ("plot", SAMPLE, "-o", "x.gif"),
             "x.gif: expected a folder, or FILE with .png, .svg or .pdf",
         ),
-        (("plot", SAMPLE, "-o", "x.png"), "x.png: one file for 13 figures"),
+        (("plot", SAMPLE, "-o", "x.png"), "x.png: one file for 11 figures"),
         (("plot", SAMPLE, "-o", "x.png", "--what", "latency"), "nothing to draw for latency"),
         (("report", SAMPLE, "-o", "/dev/null/x"), "cannot be written: Not a directory"),
     ],

@@ -79,7 +79,9 @@ def test_figures_are_drawn_on_the_given_axes(flight: Flight) -> None:
     axes = figure.add_subplot()
     assert flight.plot_errors(axes) is axes
     assert axes.get_ylabel() == "formation error [m]"
-    assert len(flight.plot_paths(figure.add_subplot()).lines) == 15  # path, start, end
+    assert (
+        len(flight.plot_paths(figure.add_subplot()).lines) == 5 + 5 + 2 * 4
+    )  # paths, UAVs, the tree at two times
     assert flight.plot("gain", figure.add_subplot()).lines
 
 

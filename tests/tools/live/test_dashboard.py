@@ -48,11 +48,6 @@ def test_it_fits_and_keeps_its_numbers(width: int) -> None:
         assert "deadline in 1.2 s" in found
 
 
-def test_a_wide_terminal_shows_more() -> None:
-    assert "east, north, up m" not in text(frame(), 80)
-    assert "-20.25" in text(frame(), 140)
-
-
 def test_faults_and_the_lost_are_named() -> None:
     many = [{"name": f"uav{i}", "level": 1, "word": "w" * 200} for i in range(1, 8)]
     found = text(frame(processes=many, left_s=-2.0), 80)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_io.files import OutputFileError
+from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import errors, view_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries
@@ -38,6 +40,38 @@ def test_other_suffixes_and_places_are_refused(fly, tmp_path):
         draw.save(figure, tmp_path / "file" / "e.png")
 
 
+@pytest.mark.parametrize("columns", [None, "one", "two"])
+def test_a_pdf_has_fonts_that_journals_take_and_the_width_of_their_columns(fly, tmp_path, columns):
+    chart = errors(view_of(fly(seconds=7.0), StatusSeries()))
+    with draw.sized(columns):
+        figure = draw.figure_of(chart, "x", columns)
+        [path] = draw.save_pages([figure], tmp_path / "e.pdf")
+    assert b"/Type3" not in path.read_bytes()
+    if columns is not None:
+        assert figure.get_figwidth() == draw.COLUMNS_IN[columns]
+        assert figure.axes[0].get_title() == ""
+
+
+def test_no_name_covers_a_curve_or_another_name(fly):
+    """The legend stands below the axes, and names in the picture from above stand apart."""
+    recording = fly(scenario=load_scenario("paper_5", {"timing.duration_s": 12.0}))
+    figure = draw.blank_figure((6, 6))
+    axes = figure.add_subplot()
+    draw.draw_paths(axes, recording)
+    figure.draw_without_rendering()
+    assert axes.get_legend().get_window_extent().y1 < axes.get_window_extent().y0
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert {"0 s", "5 s", "12 s"} <= {text.get_text() for text in axes.texts}
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+
+
+def test_a_user_leaves_out_legend_and_labels(fly):
+    chart = errors(view_of(fly(seconds=7.0), StatusSeries()))
+    axes = draw.blank_figure((3.5, 2.2)).add_subplot()
+    draw.draw_chart(axes, chart, legend=False, labels=False)
+    assert axes.get_legend() is None and not axes.texts
+
+
 LEGS = ((0, "form"), (12 * 10**9, "form"))
 
 
@@ -58,9 +92,9 @@ def drawn(monkeypatch):
 def test_every_leg_is_drawn(fly, drawn, tmp_path: Path) -> None:
     away = {2: lambda t: np.where(t > 12.0, 3.0, 0.0)}
     recording = fly(away, seconds=20.0, epochs=LEGS)
-    path = draw.draw_flight(recording, tmp_path / "flight.png", 0.07)
+    path = draw.draw_flight(view_of(recording, StatusSeries(), 0.07), tmp_path / "flight.png")
     assert path.read_bytes().startswith(b"\x89PNG")
-    from_above, error = drawn["UAV 2"]
+    error, from_above, _ = drawn["UAV 2"]
     assert from_above[0].max() - from_above[0].min() > 3.0
     assert error[0].max() == pytest.approx(19.99)
     assert np.nanmax(error[1][error[0] > 12.0]) == pytest.approx(3.0)
@@ -69,5 +103,5 @@ def test_every_leg_is_drawn(fly, drawn, tmp_path: Path) -> None:
 
 def test_a_long_path_is_thinned(fly, drawn, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("ptnsbc_tools.plotting.draw._PATH_POINTS", 100)
-    draw.draw_flight(fly(), tmp_path / "flight.png")
-    assert drawn["UAV 2"][0].shape == (2, 100)
+    draw.draw_flight(view_of(fly(), StatusSeries()), tmp_path / "flight.png")
+    assert drawn["UAV 2"][1].shape == (2, 100)

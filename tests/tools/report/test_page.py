@@ -97,7 +97,7 @@ def test_encounters_and_legs(fly, count):
     space = Unpacked(recording).space
     ((begin, end),) = space["uavs"][3]["avoiding"]
     assert (begin, end) == (pytest.approx(7.0), pytest.approx(8.0))
-    assert space["legs"] == [[9.0, "hold"]]
+    assert space["marks"] == [[5.0, "deadline 5 s"], [9.0, "hold"]]
 
 
 def test_a_deadlock_is_told(fly, count):
