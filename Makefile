@@ -17,21 +17,25 @@ export PYTHON ?=
 help:  ## List the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup:  ## Make .venv from a lock; quick when nothing has changed
+setup:  ## Make .venv with what flying needs; the targets below add what they need to it
 	@requirements/setup.sh
+
+# What a target needs besides: setup-test adds the packages of tests, setup-messages builds what the wheels of ROS lack.
+setup-%:
+	@requirements/setup.sh $*
 
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
 test slow repeat: export ROS_PYTHON_CHECK_FIELDS := 1
 test slow repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Containers tend to set it: every process of the tests would compile every module of ours.
 test slow repeat: export PYTHONDONTWRITEBYTECODE :=
-test: setup  ## Run the quick tests, those in real time last, and say why any are skipped
+test: setup-test setup-site setup-messages  ## Run the quick tests, those in real time last, and say why any are skipped
 	@time $(BIN)/python tests/run.py quick $(JOBS) $(ARGS)
 
-slow: setup  ## Run the tests that take more than five seconds each, such as flights of processes
+slow: setup-test setup-site setup-messages  ## Run the tests that take more than five seconds each, such as flights of processes
 	@time $(BIN)/python tests/run.py slow $(JOBS)
 
-repeat: setup  ## Run the quick tests N times, every second time beside busy loops
+repeat: setup-test setup-site setup-messages  ## Run the quick tests N times, every second time beside busy loops
 	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS) $(ARGS)
 
 fuzz: setup  ## Mutated bags, scenarios, messages and packets: make fuzz ARGS="--seconds 600"
@@ -43,28 +47,28 @@ demo: setup  ## Fly a formation, record it, verify it
 docs: setup  ## Make the parts of the pages that are made of the code
 	@$(BIN)/python -m docs.make $(ARGS)
 
-site: setup  ## Build all pages as a site, searched without a network: build/site
+site: setup-site  ## Build all pages as a site, searched without a network: build/site
 	@$(BIN)/python -m docs.make.site $(ARGS)
 
 results: setup  ## Fly the paper again: docs/results.md, tables.md, envelope.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
 
-commands: setup  ## Run every command in README and docs, in a scratch clone
+commands: setup-test setup-messages  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)
 
 bench: setup  ## Measure the figures that the pages quote
 	@time $(BIN)/python -m bench $(ARGS)
 
-lint: setup  ## ruff (style, layering), formatting, mypy, nothing newer than Python 3.10; docker/
+lint: setup-lint  ## ruff (style, layering), formatting, mypy, nothing newer than Python 3.10; docker/
 	@time { $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy; }
 	@$(BIN)/vermin --quiet --no-tips --violations -t=3.10- --exclude operator.call $$(git ls-files '*.py')
 	@$(BIN)/hadolint docker/Dockerfile
 	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
-format: setup  ## Let ruff format the code and fix what it can
+format: setup-lint  ## Let ruff format the code and fix what it can
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
-colcon: setup  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
+colcon: setup-colcon setup-messages  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
 	@time ros2_ws/fly.sh
 
 wheels:  ## Wheels of the message packages in dist/, for each Python 3.10 to 3.13 here: install them where no compiler is

@@ -1,10 +1,10 @@
 #!/bin/bash
-# Whether a lock can be installed on a companion computer: every package of image.lock (or of the lock that is given) has
-# a wheel for aarch64 and CPython 3.12 whose hash is in the lock, or is pure Python. empy alone has no wheel; its
+# Whether a lock can be installed on a companion computer: every package of apt/runtime.lock (or of the lock that is given)
+# has a wheel for aarch64 and CPython 3.12 whose hash is in the lock, or is pure Python. empy alone has no wheel; its
 # source is pure Python. Nothing is installed. Without a registry that answers nothing is asked, and that is said.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-lock=${1:-requirements/image.lock}
+lock=${1:-requirements/apt/runtime.lock}
 if ! .venv/bin/python -m pip index versions empy >/dev/null 2>&1; then
   echo "$lock: not checked: no package registry answers"
   exit 0

@@ -1,5 +1,7 @@
 #!/usr/bin/env bash
-# Makes .venv from the lock that fits this machine. Called by `make setup`; running it again is cheap.
+# Makes .venv from the locks that fit this machine: what flying needs, and the sets that are named. The targets of the
+# Makefile call it with theirs; where nothing has changed it does nothing.
+#   requirements/setup.sh [test] [lint] [site] [colcon] [messages]
 #   PYTHON=python3.12 requirements/setup.sh    to choose the interpreter
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -53,69 +55,97 @@ need_venv_module() {
 }
 
 choose_python
-lock=plain
+kind=plain
 if [ "${ROS_DISTRO:-}" = jazzy ] && has "$python" rclpy; then
-  lock=apt
+  kind=apt
 elif [ -n "${ROS_DISTRO:-}" ]; then
   say "ROS '$ROS_DISTRO' is sourced, but $python cannot import a Jazzy rclpy from it: using the ROS wheels instead"
   unset PYTHONPATH
 fi
 machine=$("$python" -c 'import platform; print(platform.machine())')
-if [ $lock = plain ] && [ "$machine" != x86_64 ]; then
+if [ $kind = plain ] && [ "$machine" != x86_64 ]; then
   die "the ROS wheels exist for x86_64 only, this is $machine; install ROS 2 Jazzy from apt (Ubuntu 24.04), source /opt/ros/jazzy/setup.bash and repeat: make setup"
 fi
 
-mode="$lock $("$python" -c 'import sys; print(sys.base_prefix, sys.version)' | tr '\n' ' ')"
-stamp=".venv/.stamp-$(cat pyproject.toml "requirements/$lock.lock" requirements/uv.lock requirements/setup.sh - <<<"$mode $PWD" | sha256sum | cut -c1-16)"
+mode="$kind $("$python" -c 'import sys; print(sys.base_prefix, sys.version)' | tr '\n' ' ')"
 
-# Messages that the wheels lack, and our own. Without a C++ compiler everything flies, but nothing draws frames live.
-make_interfaces() {
-  [ $lock = plain ] || return 0
-  local packages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces) made
-  made=".venv/.interfaces-$(cat "$stamp" $(find requirements/interfaces "${packages[@]}" -type f | sort -u) | sha256sum | cut -c1-16)"
-  [ ! -e "$made" ] || return 0
-  if ! command -v g++ >/dev/null; then
-    say "no g++: there are no types of ptnsbc_interfaces (fleet --operator) and no live /tf (bags have it); install g++ and repeat: make setup"
-  elif .venv/bin/python requirements/interfaces/build.py "${packages[@]%/}"; then
-    rm -f .venv/.interfaces-*
-    touch "$made"
-  else
-    say "the message packages above could not be built: no fleet --operator or no live /tf (bags have it)"
-  fi
+# A stamp of what a part is made from, and the part when there is no such stamp: part NAME COMMAND FILE...
+digest() { { printf '%s' "$mode $PWD"; cat "$@"; } | sha256sum | cut -c1-16; }
+parts=()
+part() {
+  local name=$1 make=$2 stamp began=$SECONDS
+  shift 2
+  stamp=".venv/.$name-$(digest "$@")"
+  [ ! -e "$stamp" ] || return 0
+  "$make" "$name" || return 0
+  rm -f .venv/."$name"-*
+  touch "$stamp"
+  parts+=("$name $((SECONDS - began)) s")
 }
 
-if [ -e "$stamp" ] && .venv/bin/python -c '' 2>/dev/null; then
-  make_interfaces
-  exit 0
-fi
-
-need_venv_module
-say "$("$python" --version), $lock.lock -> .venv"
-if [ "$(cat .venv/.mode 2>/dev/null)" != "$mode" ] || ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
-  site=(); [ $lock = plain ] || site=(--system-site-packages)
+make_venv() {
+  local site=()
+  need_venv_module
+  say "$("$python" --version), requirements/$kind -> .venv"
+  [ $kind = plain ] || site=(--system-site-packages)
   "$python" -m venv --clear "${site[@]}" .venv || die "could not make .venv with $python"
-fi
-rm -f .venv/.stamp-*
+  # uv installs a lock in a fifth of the time: the user's, or one of our own in .venv. Without it pip does everything.
+  command -v uv >/dev/null || "${pip[@]}" --require-hashes -r requirements/uv.lock 2>/dev/null || true
+  printf '%s' "$mode" >.venv/.mode
+}
+
 # --no-deps: a lock is complete, there is nothing to resolve. Every file must have a hash of the lock.
 pip=(.venv/bin/python -m pip --quiet --disable-pip-version-check --no-input install --progress-bar off --no-deps)
-install() { "${pip[@]}" "$@"; }
-# uv installs a lock in a fifth of the time: the user's, or one of our own in .venv. Without it pip does everything.
-uv=$(command -v uv || true)
-export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-1}" UV_NATIVE_TLS="${UV_NATIVE_TLS:-1}"  # the computer's certificates, as pip's
-if [ -z "$uv" ] && "${pip[@]}" --require-hashes -r requirements/uv.lock 2>/dev/null; then uv=.venv/bin/uv; fi
-if [ -n "$uv" ]; then
-  install() {
-    "$uv" pip install --quiet --no-progress --python .venv/bin/python --no-deps "$@" ||
-      { say "uv could not; trying pip"; "${pip[@]}" "$@"; }
-  }
-fi
-install --require-hashes -r "requirements/$lock.lock" || die "requirements/$lock.lock could not be installed (see above); repeat with: make setup"
-install --no-build-isolation -e . || die "this project could not be installed (see above)"
-.venv/bin/python -c '
+install() {
+  local uv
+  export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-1}" UV_NATIVE_TLS="${UV_NATIVE_TLS:-1}"  # the computer's certificates, as pip's
+  if uv=$(command -v uv || command -v .venv/bin/uv); then
+    "$uv" pip install --quiet --no-progress --python .venv/bin/python --no-deps "$@" && return
+    say "uv could not; trying pip"
+  fi
+  "${pip[@]}" "$@"
+}
+
+make_set() {
+  local lock=requirements/$kind/$1.lock
+  install --require-hashes -r "$lock" || die "$lock could not be installed (see above); repeat with: make setup"
+}
+
+make_project() {
+  install --no-build-isolation -e . || die "this project could not be installed (see above)"
+  .venv/bin/python -c '
 import numba, numpy, rclpy
 print(f"setup: numpy {numpy.__version__}, numba {numba.__version__}, rclpy from {rclpy.__path__[0]}")' \
-  || die "the packages are installed but do not load (see above); start afresh: make clean setup"
-printf '%s' "$mode" >.venv/.mode
-printf '%s' "$stamp" >"$stamp"
-make_interfaces
-say "done in $SECONDS s"
+    || die "the packages are installed but do not load (see above); start afresh: make clean setup"
+}
+
+# Messages that the wheels lack, and our own. Without them everything flies, but nothing draws frames live.
+make_messages() {
+  if ! command -v g++ >/dev/null; then
+    say "no g++: there are no types of ptnsbc_interfaces (fleet --operator) and no live /tf (bags have it); install g++ and repeat: make setup-messages"
+  elif ! .venv/bin/python requirements/interfaces/build.py "${messages[@]%/}"; then
+    say "the message packages above could not be built: no fleet --operator or no live /tf (bags have it)"
+  else
+    return 0
+  fi
+  return 1
+}
+
+if [ "$(cat .venv/.mode 2>/dev/null)" != "$mode" ] || ! .venv/bin/python -c '' 2>/dev/null; then
+  make_venv
+  parts+=("environment $SECONDS s")
+fi
+part runtime make_set "requirements/$kind/runtime.lock"
+part project make_project pyproject.toml setup.py ros2_ws/shell.py
+for set in "$@"; do
+  lock=requirements/$kind/$set.lock
+  if [ "$set" != messages ]; then
+    [ -e "$lock" ] || die "no $lock; the sets are messages, $(basename -s .lock requirements/$kind/*.lock | paste -sd, | sed 's/,/, /g')"
+    part "$set" make_set "$lock"
+  elif [ $kind = plain ]; then
+    messages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces)
+    mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces "${messages[@]}" -type f | sort -u)
+    part messages make_messages "${sources[@]}"
+  fi
+done
+[ ${#parts[@]} = 0 ] || say "done in $SECONDS s ($(IFS=,; echo "${parts[*]}" | sed 's/,/, /g'))"

@@ -6,12 +6,12 @@ cd "$(dirname "${BASH_SOURCE[0]}")"
 
 die() { printf 'ros2_ws: error: %s\n' "$*" >&2; exit 1; }
 venv=$(cd .. && pwd)/.venv
-[ -x "$venv/bin/colcon" ] || die "no colcon in .venv; run: make setup"
+[ -x "$venv/bin/colcon" ] || die "no colcon in .venv; run: make setup-colcon"
 # colcon builds with the python3 it finds first.
 export PATH="$venv/bin:$PATH" VIRTUAL_ENV="$venv" COLCON_DEFAULT_EXECUTOR=sequential COLCON_LOG_LEVEL=error
 colcon() { "$venv/bin/python" "$venv/bin/colcon" "$@"; }
 
-# Messages need CMake's part of ament, which comes with ROS from apt. With the wheels `make setup` builds them.
+# Messages need CMake's part of ament, which comes with ROS from apt. With the wheels `make setup-messages` builds them.
 interfaces=ptnsbc_interfaces
 skipped=()
 cmake_is_there() { (IFS=:; for folder in ${AMENT_PREFIX_PATH:-}; do [ -d "$folder/share/ament_cmake" ] && exit 0; done; exit 1); }

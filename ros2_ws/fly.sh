@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # From a clean copy of this checkout: colcon builds it, plain over what an older version left and with
 # --symlink-install, and the executables of the plain build fly 10 s of paper_5, from another folder and without the
-# sources. Then pip installs the same, twice. Needs .venv (make setup). What is installed there of this project
+# sources. Then pip installs the same, twice. Needs .venv (make setup-colcon). What is installed there of this project
 # is not seen: everything runs in environments like it that have the project from one place only.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 say() { printf 'ros2_ws: [%3d s] %s\n' "$SECONDS" "$*"; }
 die() { printf 'ros2_ws: error: %s\n' "$*" >&2; exit 1; }
-[ -x .venv/bin/colcon ] || die "no colcon in .venv; run: make setup"
+[ -x .venv/bin/colcon ] || die "no colcon in .venv; run: make setup-colcon"
 
 mkdir -p out
 scratch=$(mktemp -d "$PWD/out/colcon-XXXXXX")  # on the disk of .venv, whose files it shares by hard links

@@ -1,4 +1,4 @@
-"""Wheels of the message packages: they hold what `make setup` puts beside the wheels of ROS."""
+"""Wheels of the message packages: they hold what `make setup-messages` puts beside the wheels of ROS."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Make live.png and dashboard_80.svg: `python docs/img/make_live.py`.
 
 It flies paper_5 in lock-step with `--view` and looks at the page shortly before the deadline. Needs Chromium, ROS and
-the extra [dev].
+`make setup-test`.
 """
 
 from __future__ import annotations

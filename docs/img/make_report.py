@@ -1,4 +1,4 @@
-"""Make the picture of the report: `python docs/img/make_report.py [BAG]`. Needs Chromium and the extra [dev]."""
+"""Make the picture of the report: `python docs/img/make_report.py [BAG]`. Needs Chromium and `make setup-test`."""
 
 from __future__ import annotations
 

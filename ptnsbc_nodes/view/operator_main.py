@@ -43,7 +43,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
             raise
         raise OperatorError(
             "the messages of ptnsbc_interfaces are not built, or older than this program: "
-            "expected g++ and `make setup`, or with ROS from apt `colcon build` and its setup.bash"
+            "expected g++ and `make setup-messages`, or with ROS from apt `colcon build` and its setup.bash"
         ) from None
     lifetime = ProcessLifetime()
     with ros_context(argv), ros_node("operator", "") as node:

@@ -209,6 +209,10 @@ class Package:
             )
             return str(target)
 
+        if sources[0].suffix == ".cpp":  # one file of all: g++ reads their headers once
+            whole = self.work / f"{target.name}.cpp"
+            whole.write_text("".join(f'#include "{path}"\n' for path in sources), encoding="utf-8")
+            sources = [whole]
         with ThreadPoolExecutor(_JOBS) as pool:
             objects = list(pool.map(compiled, sources))
         found = [f"-L{self.out / 'lib'}", f"-L{LIB}", *(f"-l{name}" for name in libraries)]

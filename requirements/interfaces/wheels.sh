@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Wheels of the message packages in dist/, for every Python from 3.10 to 3.13 on this machine. Called by `make wheels`.
 #   PYTHON="python3.10 /opt/python/bin/python3.12" requirements/interfaces/wheels.sh    to name the interpreters
-# Each is built in an environment of its own from plain.lock, which takes two or three minutes, and is installed and
+# Each is built in an environment of its own from plain/runtime.lock, which takes a minute, and is installed and
 # imported there before it counts.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
@@ -24,7 +24,7 @@ build_for() {
   rm -rf "$venv" "$out"
   "$python" -m venv "$venv"
   pip=("$venv/bin/python" -m pip --quiet --disable-pip-version-check --no-input)
-  "${pip[@]}" install --progress-bar off --no-deps --require-hashes -r requirements/plain.lock
+  "${pip[@]}" install --progress-bar off --no-deps --require-hashes -r requirements/plain/runtime.lock
   "$venv/bin/python" requirements/interfaces/build.py --wheels "$out" "${packages[@]}"
   "${pip[@]}" install --no-deps --no-index "$out"/*.whl
   for package in "${packages[@]}"; do

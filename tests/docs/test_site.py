@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from chromium import chromium
 
-pytest.importorskip("mkdocs", reason="needs mkdocs-material (extra [dev])")
+pytest.importorskip("mkdocs", reason="needs mkdocs-material: make setup-site")
 
 from docs.make import site
 
