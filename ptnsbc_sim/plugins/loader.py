@@ -32,15 +32,16 @@ class PluginError(PtnsbcError):
     """A plug-in that cannot be loaded, or that failed."""
 
 
-def executed(file: Path, what: str) -> dict[str, Any]:
-    """The names of a file that has been executed as a module of its own.
+def function_in(file: Path, name: str, what: str) -> FunctionType:
+    """A function of a file, which is executed as a module of its own.
 
     Args:
         file: its whole path.
-        what: what it holds, for messages: "a law".
+        name: of the function.
+        what: what it is, for messages: "a law".
 
     Raises:
-        PluginError: there is no such file, or it raises an error.
+        PluginError: there is no such file or function, or the file raises an error.
     """
     try:
         text = file.read_bytes()
@@ -61,7 +62,11 @@ def executed(file: Path, what: str) -> dict[str, Any]:
         lines = [frame.lineno for frame in frames if frame.filename == str(file)]
         place = f"{file}:{lines[-1]}" if lines else str(file)
         raise PluginError(f"{place}: {type(error).__name__}: {error}") from error
-    return vars(module)
+    function = vars(module).get(name)
+    if not isinstance(function, FunctionType):
+        kind = "no such name" if function is None else type(function).__name__
+        raise PluginError(f"{file}: {name}: {kind}: expected a function, {what}")
+    return function
 
 
 def place_of(function: FunctionType, error: BaseException | None = None) -> str:
@@ -150,14 +155,11 @@ def load_plugin(name: str, named: str) -> Plugin:
             f"{name}: {named}: a bag names a {name} and does not carry it: expected a scenario whose {name} "
             "you give"
         )
-    function = executed(file, f"a {name}").get(wanted)
-    expected = f"expected a function of the inputs of a {name}"
-    if not isinstance(function, FunctionType):
-        kind = "no such name" if function is None else type(function).__name__
-        raise PluginError(f"{file}: {wanted}: {kind}: {expected}")
+    function = function_in(file, wanted, f"a {name}")
     try:
         inspect.signature(function).bind(*hook.example)
     except TypeError as error:
+        expected = f"expected a function of the inputs of a {name}"
         raise PluginError(f"{place_of(function)}: {error}: {expected}") from None
     return Plugin(hook, function, _compiled(function, file, hook))
 

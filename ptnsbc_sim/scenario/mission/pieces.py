@@ -29,12 +29,17 @@ _BINOMIALS = np.array(
 )
 
 
+def curve_by(kind: int, *numbers: float, table: Array = NO_TABLE) -> Trajectory:
+    """A curve as `ptnsbc_core.curves.trajectory` reads it."""
+    return Trajectory(tuple(float(number) for number in (kind, *numbers)), table)
+
+
 def curve_of(
     rows: Array, heading: int = HEADING_TABLE, period_s: float = 0.0, yaw: float = 0.0
 ) -> Trajectory:
     """The curve of a table (K, 33), whose last row stays at its end."""
-    numbers = (TRAJECTORY_PIECEWISE, heading, period_s, 0, 0, 0, 0, yaw)
-    return Trajectory(tuple(float(number) for number in numbers), np.ascontiguousarray(rows))
+    rows = np.ascontiguousarray(rows)
+    return curve_by(TRAJECTORY_PIECEWISE, heading, period_s, 0, 0, 0, 0, yaw, table=rows)
 
 
 def at_knots(table: Array, times: Array) -> Array:

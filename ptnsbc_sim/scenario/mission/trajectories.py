@@ -27,7 +27,7 @@ from ptnsbc_core.types import (
     Trajectory,
 )
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3, rows_of
-from ptnsbc_sim.scenario.mission.pieces import NO_TABLE, WIDTH, curve_of
+from ptnsbc_sim.scenario.mission.pieces import WIDTH, curve_by, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
     Streamed,
@@ -277,11 +277,11 @@ def trajectory_of(block: AnyPath) -> Trajectory:
         if block.heading == "path":
             return _harmonic(block)
         motion = (block.radius_m, block.rate_rad_s, block.phase_rad)
-        return _by_numbers(TRAJECTORY_CIRCLE, *block.centre_m, *motion, block.yaw_rad)
+        return curve_by(TRAJECTORY_CIRCLE, *block.centre_m, *motion, block.yaw_rad)
     if isinstance(block, Line):
-        return _by_numbers(TRAJECTORY_LINE, *block.position_m, *block.velocity_m_s, block.yaw_rad)
+        return curve_by(TRAJECTORY_LINE, *block.position_m, *block.velocity_m_s, block.yaw_rad)
     if isinstance(block, Hover):
-        return _by_numbers(TRAJECTORY_LINE, *block.position_m, 0.0, 0.0, 0.0, block.yaw_rad)
+        return curve_by(TRAJECTORY_LINE, *block.position_m, 0.0, 0.0, 0.0, block.yaw_rad)
     if isinstance(block, Lissajous):
         return _harmonic(block)
     if isinstance(block, Csv):
@@ -292,10 +292,6 @@ def trajectory_of(block: AnyPath) -> Trajectory:
         heading = HEADING_TABLE if has_yaw else _heading_of(block)
         return _piecewise(times, pieces, heading, 0.0, block.yaw_rad)
     return _through_points(block)
-
-
-def _by_numbers(*numbers: float) -> Trajectory:
-    return Trajectory(tuple(float(number) for number in numbers), NO_TABLE)
 
 
 def _heading_of(block: Circle | Lissajous | Waypoints | Csv) -> int:
@@ -310,8 +306,8 @@ def _harmonic(block: Circle | Lissajous) -> Trajectory:
     else:
         rows = (block.amplitude_m, block.rate_rad_s, block.phase_rad)
     table = np.ascontiguousarray(np.array((block.centre_m, *rows), dtype=np.float64).T)
-    numbers = (TRAJECTORY_HARMONIC, _heading_of(block), 0, 0, 0, 0, 0, block.yaw_rad)
-    return Trajectory(tuple(float(number) for number in numbers), table)
+    heading = _heading_of(block)
+    return curve_by(TRAJECTORY_HARMONIC, heading, 0, 0, 0, 0, 0, block.yaw_rad, table=table)
 
 
 def _lap(block: Waypoints) -> Array:

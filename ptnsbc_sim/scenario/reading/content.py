@@ -14,11 +14,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, get_args
 
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, MapError, map_text
-from ptnsbc_sim.plugins.loader import PluginError, executed, place_of
+from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock
+from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown
 
 
@@ -84,12 +86,10 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
 GROUP = "ptnsbc.plugins"
 """The entry points of installed packages: `trajectory.NAME`, `shape.NAME`, `law.NAME`, `task.NAME` and so on."""
 
-MOST_ROWS = 2000
-"""Rows of a trajectory at most, as of any CSV file."""
-
+_TRAJECTORIES = get_args(get_args(LeaderTrajectoryBlock)[0])
 _OURS = {
-    "trajectory": ("circle", "line", "hover", "lissajous", "waypoints", "csv", "stream"),
-    "shape": ("v", "line", "column", "grid", "circle", "sphere", "file"),
+    key: [kind for block in blocks for kind in get_args(block.model_fields["kind"].annotation)]
+    for key, blocks in {"trajectory": _TRAJECTORIES, "shape": (ShapeBlock,)}.items()
 }
 _ABOVE = {"trajectory": "leader", "shape": "formation"}
 _DURATION_S, _STEP_S = 100.0, 0.1
@@ -169,9 +169,9 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     duration_s = _number(known.pop("duration_s", _DURATION_S), f"{where}.duration_s", 2 * _STEP_S)
     step_s = _number(known.pop("step_s", _STEP_S), f"{where}.step_s", _LEAST_STEP_S)
     count = math.ceil(duration_s / step_s - 1e-9) + 1
-    if not 2 <= count <= MOST_ROWS:
+    if not 2 <= count <= MOST_POINTS:
         raise FunctionError(
-            f"{where}.step_s: {step_s:g}: {count} rows in {duration_s:g} s: expected 2 to {MOST_ROWS}"
+            f"{where}.step_s: {step_s:g}: {count} rows in {duration_s:g} s: expected 2 to {MOST_POINTS}"
         )
     arguments = block.get("arguments") or {}
     if not isinstance(arguments, dict):
@@ -272,22 +272,19 @@ def _entry(what: str, name: str) -> Any:
 
 def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
     if ".py:" in kind:
-        file, _, wanted = _beside(kind, folder).rpartition(":")
+        file, _, name = _beside(kind, folder).rpartition(":")
         try:
-            found = executed(Path(file), f"a {what}").get(wanted)
+            return function_in(Path(file), name, f"a {what}")
         except PluginError as error:
             raise FunctionError(f"{where}.kind: {error}") from error
-    else:
-        file, wanted = kind, kind
-        try:
-            found = _entry(what, kind).load()
-        except Exception as error:
-            raise FunctionError(
-                f"{where}.kind: {kind}: {type(error).__name__}: {error}: expected an entry point that loads"
-            ) from error
+    try:
+        found = _entry(what, kind).load()
+    except Exception as error:
+        raise FunctionError(
+            f"{where}.kind: {kind}: {type(error).__name__}: {error}: expected an entry point that loads"
+        ) from error
     if not isinstance(found, FunctionType):
-        have = "no such name" if found is None else type(found).__name__
-        raise FunctionError(f"{where}.kind: {file}: {wanted}: {have}: expected a function")
+        raise FunctionError(f"{where}.kind: {kind}: {type(found).__name__}: expected a function")
     return found
 
 

@@ -12,8 +12,6 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS
-from ptnsbc_sim.scenario.reading.content import MOST_ROWS
 
 PATHS = """
 from math import cos, sin
@@ -183,7 +181,3 @@ def test_an_installed_package_may_bring_one(folder: Path, monkeypatch: pytest.Mo
     with pytest.raises(PtnsbcError, match=r"bad: ModuleNotFoundError: .*entry point that loads"):
         scenario(folder, "leader: {trajectory: {kind: bad}}\n")
     sys.modules.pop("own_paths", None)
-
-
-def test_as_many_rows_as_a_csv_file_may_have() -> None:
-    assert MOST_ROWS == MOST_POINTS
