@@ -182,7 +182,7 @@ def in_bag(uavs: Iterable[int], **kinds: bool) -> tuple[Topic, ...]:
 
 
 def tf_is_available() -> bool:
-    """True if /tf can be published: tf2_msgs comes with ROS from apt; beside the wheels `make setup-messages` builds it."""
+    """True if /tf can be published: tf2_msgs comes with ROS from apt, or by `make setup-messages` beside the wheels."""
     return find_spec("tf2_msgs") is not None
 
 
