@@ -55,10 +55,10 @@ def covering_boxes(points: Array, resolution_m: float) -> Array:
         raise MapError(
             f"{len(cells)} occupied cells: expected at most {_MOST_CELLS}, raise resolution_m"
         )
-    found = list(_cuboids(cells))
-    if len(found) > MOST_BOXES:
-        raise MapError(f"{len(found)} boxes: expected at most {MOST_BOXES}, raise resolution_m")
-    return np.array(found, dtype=np.float64) * resolution_m
+    boxes = list(_cuboids(cells))
+    if len(boxes) > MOST_BOXES:
+        raise MapError(f"{len(boxes)} boxes: expected at most {MOST_BOXES}, raise resolution_m")
+    return np.array(boxes, dtype=np.float64) * resolution_m
 
 
 def _cuboids(cells: NDArray[np.int64]) -> Iterator[list[int]]:

@@ -75,14 +75,14 @@ class UavRole:
 
 def role_changes(scenario: Scenario) -> dict[int, list[RoleChange]]:
     """The changes of a headless flight, by the tick from which they hold; none unless UAVs may come and go."""
-    found: dict[int, list[RoleChange]] = {}
+    changes: dict[int, list[RoleChange]] = {}
     if not scenario.formation.reconfigures:
-        return found
+        return changes
     formations, dead = Formations(scenario), gone(scenario)
     for row, uav in enumerate(scenario.uav_ids):
         for tick, change in _changes(UavRole(formations, uav), dead[:, row]):
-            found.setdefault(tick, []).append(change)
-    return found
+            changes.setdefault(tick, []).append(change)
+    return changes
 
 
 def _changes(role: UavRole, dead: NDArray[np.bool_]) -> Iterator[tuple[int, RoleChange]]:
@@ -126,5 +126,5 @@ def _looks(
     seen += [of >= NEVER_RECEIVED_S for of in ages.values()]
     seen += [since_ns >= scenario.uav(uav).joins_ns for uav in scenario.uav_ids]
     seen += [since_ns >= scenario.uav(uav).leaves_ns for uav in scenario.uav_ids]
-    changes = [np.flatnonzero(np.diff(one.astype(np.int64))) + 1 for one in seen]
+    changes = [np.flatnonzero(np.diff(part.astype(np.int64))) + 1 for part in seen]
     return np.unique(np.concatenate([[0], *changes]))

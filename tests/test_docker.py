@@ -110,7 +110,9 @@ def test_what_the_image_copies_is_there():
     assert [path for path in sent if not (ROOT / path).exists()] == []
     text = (DOCKER / "Dockerfile").read_text()
     assert "COPY --chmod=755 docker/entrypoint.sh" in text and "docker/entrypoint.sh" in sent
-    assert {"pyproject.toml", "requirements/apt/runtime.lock", "ros2_ws/src", "scenarios"} <= set(sent)
+    assert {"pyproject.toml", "requirements/apt/runtime.lock", "ros2_ws/src", "scenarios"} <= set(
+        sent
+    )
 
 
 def test_the_base_image_is_named_by_its_digest():

@@ -102,7 +102,7 @@ def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
     weights, first = links.weights_of(uav_id), links.parent(uav_id)
     if not weights or first is None:
         return None
-    shifts = np.stack([scenario.offset(first) - scenario.offset(one) for one in weights])
+    shifts = np.stack([scenario.offset(first) - scenario.offset(parent) for parent in weights])
     shares = np.array(list(weights.values()))
     return SeveralParents(tuple(weights), shares, shifts, float(links.stale_s))
 
@@ -115,7 +115,7 @@ def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
     slots = {uav_id: scenario.offset(uav_id) for uav_id in scenario.uav_ids}
     rows = []
     for uav_id in uav_ids:
-        gaps = [np.linalg.norm(slots[uav_id] - slots[one]) for one in slots if one != uav_id]
+        gaps = [np.linalg.norm(slots[uav_id] - slots[other]) for other in slots if other != uav_id]
         rows.append([*slots[uav_id].tolist(), 0.5 * float(min(gaps, default=0.0))])
     return np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
 

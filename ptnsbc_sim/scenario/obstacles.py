@@ -235,13 +235,13 @@ class Obstacle:
 
     def rows(self, times: Array) -> Array:
         """The body as rows (T, 20), see ptnsbc_core.tasks.signed_distance."""
-        found, at = np.zeros((len(times), BODY_COLUMNS)), self.motion(times)
-        found[:, 0:3], found[:, VELOCITY : VELOCITY + 3] = at
-        found[:, KEEP_OUT] = self.keep_out_m
-        found[:, KIND] = BODIES["half_space" if self.kind == "ground" else self.kind]
-        found[:, SIZE : SIZE + 3] = self.size
-        found[:, AXES : AXES + 9] = self.axes.ravel()
-        return found
+        rows, at = np.zeros((len(times), BODY_COLUMNS)), self.motion(times)
+        rows[:, 0:3], rows[:, VELOCITY : VELOCITY + 3] = at
+        rows[:, KEEP_OUT] = self.keep_out_m
+        rows[:, KIND] = BODIES["half_space" if self.kind == "ground" else self.kind]
+        rows[:, SIZE : SIZE + 3] = self.size
+        rows[:, AXES : AXES + 9] = self.axes.ravel()
+        return rows
 
     def distances(self, places: Array, times: Array) -> Array:
         """Distances (T,) [m] of places (T, 3) at times (T,) [s] since the first epoch."""

@@ -267,7 +267,7 @@ def _legs(file: ScenarioFile) -> Problems:
 def _order(legs: Sequence[LegBlock], index: int) -> str:
     """What is expected where a leg may not stand; empty where it may. Groups part also by legs that wait for a word."""
     leg, first = legs[index], legs[0]
-    apart = [one for one in legs[:index] if isinstance(one, SplitLeg | JoinLeg)][-1:]
+    apart = [other for other in legs[:index] if isinstance(other, SplitLeg | JoinLeg)][-1:]
     if index == 0 and not isinstance(leg, FormLeg | TakeOffLeg):
         return "form or take_off, with which a mission begins"
     if index and isinstance(leg, TakeOffLeg):

@@ -236,11 +236,11 @@ def _unreached(
     from scipy.sparse.csgraph import connected_components  # late: half a second
 
     linked = np.zeros((len(followers), len(followers)))
-    for one, other in edges:
-        linked[followers.index(one), followers.index(other)] = 1.0
+    for uav, other in edges:
+        linked[followers.index(uav), followers.index(other)] = 1.0
     count, parts = connected_components(linked, directed=False)
     for part in range(count if followers else 0):
-        inside = [uav for uav, own in zip(followers, parts, strict=True) if own == part]
+        inside = [uav for uav, number in zip(followers, parts, strict=True) if number == part]
         if not set(pinned).intersection(inside):
             yield min(inside)
 

@@ -190,16 +190,16 @@ _ASIDE_M = 3.0  # obstacles lie so far around starts and goals at most
 _HEIGHT_M = 5.0
 
 
-def _number(given: float | tuple[float, float], rng: np.random.Generator) -> float:
-    if isinstance(given, tuple):
-        return float(rng.uniform(*given))
-    return float(given)
+def _number(value: float | tuple[float, float], rng: np.random.Generator) -> float:
+    if isinstance(value, tuple):
+        return float(rng.uniform(*value))
+    return float(value)
 
 
-def _count(given: int | tuple[int, int], rng: np.random.Generator) -> int:
-    if isinstance(given, tuple):
-        return int(rng.integers(given[0], given[1] + 1))
-    return given
+def _count(value: int | tuple[int, int], rng: np.random.Generator) -> int:
+    if isinstance(value, tuple):
+        return int(rng.integers(value[0], value[1] + 1))
+    return value
 
 
 def _one_of(kinds: tuple[str, ...], rng: np.random.Generator) -> str:
@@ -275,7 +275,7 @@ def _obstacles(
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
     """As many as there is room for: none holds a start or a place, none meets another one."""
-    found: list[dict[str, Any]] = []
+    obstacles: list[dict[str, Any]] = []
     ends = np.concatenate([starts, goals])
     low, high = ends.min(axis=0) - _ASIDE_M, ends.max(axis=0) + _ASIDE_M
     for _ in range(_count(block.count, rng)):
@@ -289,13 +289,13 @@ def _obstacles(
                 place = rng.uniform(low, high)
             free = np.linalg.norm(ends - place, axis=1).min() > radius + margin_m
             if free and all(
-                np.linalg.norm(place - np.array(one["position_m"])) > radius + one["keep_out_m"]
-                for one in found
+                np.linalg.norm(place - np.array(other["position_m"])) > radius + other["keep_out_m"]
+                for other in obstacles
             ):
-                name = f"O{len(found) + 1}"
-                found.append({"name": name, "position_m": place.tolist(), "keep_out_m": radius})
+                name = f"O{len(obstacles) + 1}"
+                obstacles.append({"name": name, "position_m": place.tolist(), "keep_out_m": radius})
                 break
-    return found
+    return obstacles
 
 
 def draw_family(

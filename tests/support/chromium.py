@@ -15,7 +15,9 @@ _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A running browser of Playwright."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: make setup-test")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="needs playwright: make setup-test"
+    )
     path = next((found for name in _NAMES if (found := shutil.which(name))), None)
     if path is None:
         pytest.skip("needs Chromium: apt install chromium")

@@ -226,11 +226,11 @@ def shortest_below(
 
     The bound itself where the path for the next shorter one is not.
     """
-    found = bound_s
-    while found > _ROUNDING and math.isfinite(found):
-        tried = found * _SHORTER ** np.arange(1.0, _AT_ONCE + 1.0, dtype=np.float64)
+    shortest = bound_s
+    while shortest > _ROUNDING and math.isfinite(shortest):
+        tried = shortest * _SHORTER ** np.arange(1.0, _AT_ONCE + 1.0, dtype=np.float64)
         beyond = np.flatnonzero(demands(file, starts, uav, tried, turn) > 1.0 + _ROUNDING)
         if beyond.size:
-            return float(tried[beyond[0] - 1]) if beyond[0] else found
-        found = float(tried[-1])
-    return found
+            return float(tried[beyond[0] - 1]) if beyond[0] else shortest
+        shortest = float(tried[-1])
+    return shortest

@@ -55,13 +55,13 @@ def utc_time(text: str) -> UtcTime:
     Raises:
         ValueError: a text of another form.
     """
-    found = _TIME_OF_DAY.fullmatch(text)
-    if found is None:
+    match = _TIME_OF_DAY.fullmatch(text)
+    if match is None:
         if not text.endswith("Z"):
             raise ValueError(text)
         since = _DATE.validate_python(text) - _UNIX
         return UtcTime(since // timedelta(microseconds=1) * 1000, 0)
-    hour, minute, second, fraction = found.groups()
+    hour, minute, second, fraction = match.groups()
     if minute == "*" != hour:
         raise ValueError(text)
     whole_s, period_s = int(second), 60
@@ -264,8 +264,8 @@ def word_text(number: int) -> str:
 
 def number_of(text: str) -> int | None:
     """Number of the leg that an announcement begins, CANCEL; None for one of another kind."""
-    found = _WORD.fullmatch(text)
-    return None if found is None else int(found[1])
+    match = _WORD.fullmatch(text)
+    return None if match is None else int(match[1])
 
 
 def starts_by_clock(mission: Mission | None) -> bool:
@@ -289,16 +289,16 @@ def schedule(
     mission: Mission, deadline_s: float, words: Sequence[Word] = ()
 ) -> tuple[ScheduledLeg, ...]:
     """The legs that begin, in their order. A word that was said in flight drops what would begin after it."""
-    found = list(_run(mission, deadline_s, 0, 0.0))
+    legs = list(_run(mission, deadline_s, 0, 0.0))
     for word in words:
-        found = [one for one in found if one.begin_s < word.at_s]
+        legs = [leg for leg in legs if leg.begin_s < word.at_s]
         if word.number == CANCEL:
             due_s = word.at_s + mission.cancel_s
             hold = HoldLeg(kind="hold", over_s=max(mission.cancel_s, 0.1))
-            found.append(ScheduledLeg(CANCEL, "cancelled", hold, word.at_s, due_s, due_s))
+            legs.append(ScheduledLeg(CANCEL, "cancelled", hold, word.at_s, due_s, due_s))
         else:
-            found.extend(_run(mission, deadline_s, word.number - 1, word.at_s))
-    return tuple(found)
+            legs.extend(_run(mission, deadline_s, word.number - 1, word.at_s))
+    return tuple(legs)
 
 
 def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Iterator[ScheduledLeg]:
@@ -336,32 +336,38 @@ def scheduled_changes(
     that moves: it does not matter when a UAV hears of that word. The starts are offsets at the first epoch.
     """
     nothing = Change.model_construct(at_s=0.0, over_s=0.1)
-    found = [nothing] if moves_shape(mission) else []
-    for one in legs:
-        given: dict[str, Any] = {}
-        if isinstance(one.leg, TakeOffLeg):
-            given = {"offsets_m": {uav: (x, y, 0.0) for uav, (x, y, _) in starts.items()}}
-        elif isinstance(one.leg, FormLeg) and one.number > FIRST:
-            given = {"offsets_m": one.leg.offsets_m}
-        elif isinstance(one.leg, ChangeLeg):
-            given = {key: getattr(one.leg, key) for key in Reshaping.model_fields}
-        if given:
-            over_s = one.due_s - one.begin_s
-            found.append(Change.model_construct(**{**given, "at_s": one.begin_s, "over_s": over_s}))
-    return tuple(found)
+    changes = [nothing] if moves_shape(mission) else []
+    for scheduled in legs:
+        keys: dict[str, Any] = {}
+        if isinstance(scheduled.leg, TakeOffLeg):
+            keys = {"offsets_m": {uav: (x, y, 0.0) for uav, (x, y, _) in starts.items()}}
+        elif isinstance(scheduled.leg, FormLeg) and scheduled.number > FIRST:
+            keys = {"offsets_m": scheduled.leg.offsets_m}
+        elif isinstance(scheduled.leg, ChangeLeg):
+            keys = {key: getattr(scheduled.leg, key) for key in Reshaping.model_fields}
+        if keys:
+            over_s = scheduled.due_s - scheduled.begin_s
+            changes.append(
+                Change.model_construct(**{**keys, "at_s": scheduled.begin_s, "over_s": over_s})
+            )
+    return tuple(changes)
 
 
 def leader_legs(legs: Sequence[ScheduledLeg]) -> tuple[ScheduledLeg, ...]:
     """The legs that move the leader away from its first path. A leg of kind form after the first joins a trajectory."""
-    found = []
-    for one in legs:
-        if isinstance(one.leg, FormLeg) and one.number > FIRST and one.leg.trajectory is not None:
-            over_s = one.due_s - one.begin_s
-            leg = FollowLeg(kind="follow", over_s=over_s, trajectory=one.leg.trajectory)
-            found.append(one._replace(leg=leg))
-        elif isinstance(one.leg, TakeOffLeg | FollowLeg | GoToLeg | HoldLeg):
-            found.append(one)
-    return tuple(found)
+    moving = []
+    for scheduled in legs:
+        if (
+            isinstance(scheduled.leg, FormLeg)
+            and scheduled.number > FIRST
+            and scheduled.leg.trajectory is not None
+        ):
+            over_s = scheduled.due_s - scheduled.begin_s
+            leg = FollowLeg(kind="follow", over_s=over_s, trajectory=scheduled.leg.trajectory)
+            moving.append(scheduled._replace(leg=leg))
+        elif isinstance(scheduled.leg, TakeOffLeg | FollowLeg | GoToLeg | HoldLeg):
+            moving.append(scheduled)
+    return tuple(moving)
 
 
 _SAME_PATH = (
@@ -372,12 +378,12 @@ _SAME_PATH = (
 """The kinds of legs that move the same places: one of them takes the place of another one."""
 
 
-def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
+def is_cut_short(legs: Sequence[ScheduledLeg], cut: ScheduledLeg) -> bool:
     """True if a later leg took the place of this one before it was due: an operator said so."""
-    kinds = tuple(kind for kinds in _SAME_PATH if isinstance(one.leg, kinds) for kind in kinds)
-    stops = isinstance(one.leg, SplitLeg)  # a group that has left comes to rest with the leader
+    kinds = tuple(kind for kinds in _SAME_PATH if isinstance(cut.leg, kinds) for kind in kinds)
+    stops = isinstance(cut.leg, SplitLeg)  # a group that has left comes to rest with the leader
     return any(
-        one.begin_s < later.begin_s < one.due_s
+        cut.begin_s < later.begin_s < cut.due_s
         and (isinstance(later.leg, kinds) or (stops and later.number == CANCEL))
         for later in legs
     )

@@ -46,20 +46,20 @@ def at_knots(table: Array, times: Array) -> Array:
     """The same polynomials with a row at each of the times (K,), among which all of its own are."""
     rows = np.maximum(np.searchsorted(table[:, 0], times, side="right") - 1, 0)
     since = (times - table[rows, 0])[:, None, None]
-    given = table[rows, 1:].reshape(len(times), -1, COEFFICIENTS)
+    held = table[rows, 1:].reshape(len(times), -1, COEFFICIENTS)
     power = np.arange(COEFFICIENTS)[::-1]  # of each coefficient
     rise = power[:, None] - power[None, :]  # from a new power to that of a given one
     shift = np.where(rise >= 0, _BINOMIALS * since ** np.maximum(rise, 0), 0.0)
-    moved = (given[:, :, :, None] * shift[:, None]).sum(axis=2)
+    moved = (held[:, :, :, None] * shift[:, None]).sum(axis=2)
     return np.column_stack([times, moved.reshape(len(times), -1)])
 
 
-def summed(one: Array, other: Array, sign: float = 1.0) -> Array:
+def summed(table: Array, other: Array, sign: float = 1.0) -> Array:
     """A table with `sign` times the first three channels of another one added to its own, at the knots of both."""
-    times, width = np.union1d(one[:, 0], other[:, 0]), 1 + 3 * COEFFICIENTS
-    found = at_knots(one, times)
-    found[:, 1:width] += sign * at_knots(other[:, :width], times)[:, 1:]
-    return found
+    times, width = np.union1d(table[:, 0], other[:, 0]), 1 + 3 * COEFFICIENTS
+    total = at_knots(table, times)
+    total[:, 1:width] += sign * at_knots(other[:, :width], times)[:, 1:]
+    return total
 
 
 def hermite(times: Array, values: Sequence[Array]) -> Array:

@@ -91,18 +91,18 @@ def _spans(legs: Sequence[ScheduledLeg]) -> list[list[ScheduledLeg]]:
         ValueError: a leg that does not fit where it begins.
     """
     spans: list[list[ScheduledLeg]] = []
-    for one in legs:
+    for scheduled in legs:
         apart = bool(spans) and not isinstance(spans[-1][-1].leg, JoinLeg)
-        if isinstance(one.leg, SplitLeg):
+        if isinstance(scheduled.leg, SplitLeg):
             if apart:
-                raise ValueError(f"{one.name}: expected a leg of kind join before it")
-            spans.append([one])
-        elif isinstance(one.leg, JoinLeg):
+                raise ValueError(f"{scheduled.name}: expected a leg of kind join before it")
+            spans.append([scheduled])
+        elif isinstance(scheduled.leg, JoinLeg):
             if not apart:
-                raise ValueError(f"{one.name}: expected a leg of kind split before it")
-            spans[-1].append(one)
-        elif one.number == CANCEL and apart:
-            spans[-1].append(one)
+                raise ValueError(f"{scheduled.name}: expected a leg of kind split before it")
+            spans[-1].append(scheduled)
+        elif scheduled.number == CANCEL and apart:
+            spans[-1].append(scheduled)
     return spans
 
 
@@ -159,17 +159,17 @@ def _refuse_many(knots: float) -> None:
         )
 
 
-def _flown(one: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
+def _flown(scheduled: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
     """The knots of a leg that begins in a state (15,)."""
-    leg = one.leg
+    leg = scheduled.leg
     if isinstance(leg, FollowLeg | SplitLeg):
-        joined = _follow(leg.trajectory, one.begin_s, leg.over_s, until_s)
+        joined = _follow(leg.trajectory, scheduled.begin_s, leg.over_s, until_s)
         turn = _nearest_turn(joined[0].state[YAW], now[YAW])
         for knot in joined:
             knot.state[YAW] += turn
         return joined
     rest = np.zeros(15)
-    rest[0:3] = now[0:3] + 0.5 * (one.due_s - one.begin_s) * now[3:6]
+    rest[0:3] = now[0:3] + 0.5 * (scheduled.due_s - scheduled.begin_s) * now[3:6]
     rest[YAW] = now[YAW]
     if isinstance(leg, TakeOffLeg):
         rest[2] = leg.height_m
@@ -177,7 +177,7 @@ def _flown(one: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
         rest[0:3] = leg.position_m
         if leg.yaw_rad is not None:
             rest[YAW] = leg.yaw_rad + _nearest_turn(leg.yaw_rad, now[YAW])
-    return [_Knot(one.due_s, rest, 4)]
+    return [_Knot(scheduled.due_s, rest, 4)]
 
 
 def _nearest_turn(angle: float, to: float) -> float:
@@ -271,12 +271,12 @@ def _is_below(tree: Mapping[int, int], uav: int | None, head: int) -> bool:
 def _stages(formation: Formation, uav: int | None) -> Array:
     """Places (1 + C, 3) of a UAV in the axes of the shape: at first and after each change; zeros for the leader."""
     place = np.array(formation.offsets_m.get(uav or 0, (0.0, 0.0, 0.0)), dtype=np.float64)
-    found = [place]
+    stages = [place]
     for change in formation.changes:
         if change.offsets_m is not None:
             place = np.array(change.offsets_m.get(uav or 0, (0.0, 0.0, 0.0)), dtype=np.float64)
-        found.append(changed(change, place))
-    return np.stack(found)
+        stages.append(changed(change, place))
+    return np.stack(stages)
 
 
 def _table(changes: tuple[Change, ...], stages: Array) -> Array:

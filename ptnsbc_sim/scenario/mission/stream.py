@@ -140,34 +140,34 @@ def streamed(block: SetpointTrajectory, setpoints: Sequence[Setpoint]) -> Stream
         SetpointError: one is before the one before, or cannot be followed within the limits.
     """
     done, rows, before_s = [], _resting(block), -1.0
-    for one in setpoints:
+    for setpoint in setpoints:
         try:
-            before_s = _later(one, before_s)
-            kept, added = _extended(block, rows, one)
+            before_s = _later(setpoint, before_s)
+            kept, added = _extended(block, rows, setpoint)
         except SetpointError as error:
-            raise SetpointError(f"setpoint at {one.at_s:g} s: {error}") from None
+            raise SetpointError(f"setpoint at {setpoint.at_s:g} s: {error}") from None
         done.append(kept[:-1])
         rows = np.concatenate([kept[-1:], added])
     return Streamed(block, tuple(setpoints), curve_of(np.concatenate([*done, rows])))
 
 
-def going_on(path: Streamed, one: Setpoint) -> Streamed:
+def going_on(path: Streamed, setpoint: Setpoint) -> Streamed:
     """The path after one more setpoint, for a process that flies: what is long past is forgotten.
 
     Raises:
         SetpointError: the leader cannot follow it, and the path before goes on.
     """
-    _later(one, path.setpoints[-1].at_s if path.setpoints else -1.0)
-    kept, added = _extended(path.block, path.curve.table, one)
+    _later(setpoint, path.setpoints[-1].at_s if path.setpoints else -1.0)
+    kept, added = _extended(path.block, path.curve.table, setpoint)
     rows = np.concatenate([kept[-_LIVE_ROWS:], added])
-    return Streamed(path.block, (one,), curve_of(rows))
+    return Streamed(path.block, (setpoint,), curve_of(rows))
 
 
-def _later(one: Setpoint, before_s: float) -> float:
+def _later(setpoint: Setpoint, before_s: float) -> float:
     """The time from which a setpoint counts [s]: not before the previous one, which one of the same time replaces."""
-    if not (one.at_s >= 0.0 and one.at_s >= before_s):
+    if not (setpoint.at_s >= 0.0 and setpoint.at_s >= before_s):
         raise SetpointError(f"expected a time from the first epoch on, and from {before_s:g} s on")
-    return one.at_s
+    return setpoint.at_s
 
 
 def _resting(block: SetpointTrajectory) -> Array:
@@ -177,21 +177,23 @@ def _resting(block: SetpointTrajectory) -> Array:
     return row
 
 
-def _extended(block: SetpointTrajectory, rows: Array, one: Setpoint) -> tuple[Array, Array]:
+def _extended(block: SetpointTrajectory, rows: Array, setpoint: Setpoint) -> tuple[Array, Array]:
     """The rows that begin before a setpoint, and those from it on."""
-    kept = rows[rows[:, 0] < one.at_s] if one.at_s > 0.0 else _resting(block)
-    place = np.array(one.position)
+    kept = rows[rows[:, 0] < setpoint.at_s] if setpoint.at_s > 0.0 else _resting(block)
+    place = np.array(setpoint.position)
     if not ((block.low_m <= place) & (place <= block.high_m)).all():
-        raise SetpointError(f"position {list(one.position)}: expected one from low_m to high_m")
-    speed = math.hypot(*one.velocity)
+        raise SetpointError(
+            f"position {list(setpoint.position)}: expected one from low_m to high_m"
+        )
+    speed = math.hypot(*setpoint.velocity)
     if not speed <= block.speed_m_s:
         raise SetpointError(f"{speed:.3g} m/s: expected at most speed_m_s, {block.speed_m_s:g} m/s")
-    now = _state(kept, one.at_s)
+    now = _state(kept, setpoint.at_s)
     goal = np.zeros((4, CHANNELS))
-    goal[0] = (*one.position, one.yaw)
-    goal[0, 3] = now[0, 3] + wrap_angle(one.yaw - now[0, 3])
-    goal[1, :3] = one.velocity
-    return kept, _planned(block, now, goal, one.at_s)
+    goal[0] = (*setpoint.position, setpoint.yaw)
+    goal[0, 3] = now[0, 3] + wrap_angle(setpoint.yaw - now[0, 3])
+    goal[1, :3] = setpoint.velocity
+    return kept, _planned(block, now, goal, setpoint.at_s)
 
 
 def _planned(block: SetpointTrajectory, now: Array, goal: Array, at_s: float) -> Array:
@@ -253,8 +255,8 @@ def _polynomials(first: Array, lasts: Array, spans: Array) -> Array:
     powers = spans[:, None] ** np.arange(4)
     ends = np.concatenate([first * powers[:, :, None], lasts * powers[:, :, None]], axis=1)
     of_share = np.einsum("ij,kjc->kci", _INVERSE, ends)
-    found: Array = (of_share / (spans[:, None, None] ** np.arange(COEFFICIENTS)))[:, :, ::-1]
-    return found
+    coefficients: Array = (of_share / (spans[:, None, None] ** np.arange(COEFFICIENTS)))[:, :, ::-1]
+    return coefficients
 
 
 @cache
@@ -270,8 +272,8 @@ def _values(polynomials: Array, span: float) -> Array:
     """Polynomials (..., 4, 8) and three derivatives at `_SHARES` of a span [s]: (..., 4, 65, 4)."""
     shares = polynomials * span ** np.arange(COEFFICIENTS)[::-1]
     scales = span ** -np.arange(4.0)
-    found: Array = np.einsum("dsp,...cp,d->...dsc", _powers(), shares, scales)
-    return found
+    values: Array = np.einsum("dsp,...cp,d->...dsc", _powers(), shares, scales)
+    return values
 
 
 def _beyond(
@@ -300,15 +302,15 @@ def _row(begin_s: float, polynomial: Array) -> Array:
 
 def _moving(begin_s: float, state: Array) -> Array:
     """A row that moves on from a state (4, 4) with its velocity."""
-    found = np.zeros((CHANNELS, COEFFICIENTS))
-    found[:, -1], found[:, -2] = state[0], state[1]
-    return _row(begin_s, found)
+    channels = np.zeros((CHANNELS, COEFFICIENTS))
+    channels[:, -1], channels[:, -2] = state[0], state[1]
+    return _row(begin_s, channels)
 
 
 def _state(rows: Array, t: float) -> Array:
     """Value and three derivatives of x, y, z and yaw (4, 4) at a time; the yaw has two."""
     at = curve_samples(curve_of(rows), np.array([t]))[0]
-    found = np.zeros((4, CHANNELS))
-    found[:, :3] = at[:12].reshape(4, 3)
-    found[:3, 3] = at[YAW : YAW + 3]
-    return found
+    state = np.zeros((4, CHANNELS))
+    state[:, :3] = at[:12].reshape(4, 3)
+    state[:3, 3] = at[YAW : YAW + 3]
+    return state

@@ -206,10 +206,10 @@ def with_shape(tree: Tree, source: str) -> Tree:
     if formation.get("offsets_m") is not None:
         raise ScenarioError(f"{where}: expected either shape or offsets_m, not both")
     function = _function(block["kind"], "shape", Path.cwd(), where)
-    given = {key: value for key, value in block.items() if key != "kind"}
+    arguments = {key: value for key, value in block.items() if key != "kind"}
     ids = [uav.get("id") for uav in uavs if isinstance(uav, dict)]
     followers = [uav for uav in ids if uav != leader.get("id")]
-    places = _called(function, len(ids), **given)
+    places = _called(function, len(ids), **arguments)
     if len(places) != len(ids):
         raise FunctionError(
             f"{place_of(function)}: {len(places)} places: expected one for each of {len(ids)} UAVs, "
@@ -217,7 +217,7 @@ def with_shape(tree: Tree, source: str) -> Tree:
         )
     rows = [_numbers(place, (3,), function) for place in places]
     offsets = {
-        uav: [one - own for one, own in zip(row, rows[0], strict=True)]
+        uav: [coordinate - origin for coordinate, origin in zip(row, rows[0], strict=True)]
         for uav, row in zip(followers, rows[1:], strict=True)
     }
     rest = {key: value for key, value in formation.items() if key != "shape"}
@@ -246,8 +246,8 @@ def whole_path(kind: str, named: str, folder: Path) -> str:
         raise FunctionError(
             f"{kind}: {named}: expected FILE.py:NAME, or the name of an entry point {kind}.NAME in {GROUP}"
         )
-    found = _function(named, kind, folder, kind)
-    return f"{Path(found.__code__.co_filename).absolute()}:{found.__name__}"
+    function = _function(named, kind, folder, kind)
+    return f"{Path(function.__code__.co_filename).absolute()}:{function.__name__}"
 
 
 def _with_whole_path(tree: Tree, folder: Path) -> Tree:

@@ -96,12 +96,12 @@ def parse_json(text: str, source: str) -> Tree:
     """The mapping that a scenario in JSON holds; a key of digits is an id."""
 
     def mapping(pairs: list[tuple[str, Any]]) -> Tree:
-        found: Tree = {}
+        entries: Tree = {}
         for key, value in pairs:
-            if key in found:
+            if key in entries:
                 raise ScenarioError(f'{source}: duplicate key "{key}", keep one of the two')
-            found[key] = value
-        return {int(key) if key.isdecimal() else key: value for key, value in found.items()}
+            entries[key] = value
+        return {int(key) if key.isdecimal() else key: value for key, value in entries.items()}
 
     def constant(word: str) -> Any:
         raise ScenarioError(f"{source}: {word}: expected a finite number")

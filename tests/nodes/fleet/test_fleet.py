@@ -371,7 +371,9 @@ def test_a_fleet_that_waits_flies_its_mission_for_a_client_of_the_operators_inte
     ros, tmp_path
 ):
     """The interface ends with the fleet."""
-    pytest.importorskip("ptnsbc_interfaces", reason="make setup-messages builds its messages where g++ is")
+    pytest.importorskip(
+        "ptnsbc_interfaces", reason="make setup-messages builds its messages where g++ is"
+    )
     from tests.support.operated_fleet import send_mission
 
     (tmp_path / "short.yaml").write_text(MISSION)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
-pytest.importorskip("ptnsbc_interfaces", reason="make setup-messages builds its messages where g++ is")
+pytest.importorskip(
+    "ptnsbc_interfaces", reason="make setup-messages builds its messages where g++ is"
+)
 
 from action_msgs.msg import GoalStatus
 from ptnsbc_interfaces.msg import Emergency, LegOutcome, UavState
