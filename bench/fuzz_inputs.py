@@ -170,7 +170,7 @@ class Wire:
     """Serialised messages of the sample flight, through every decoder."""
 
     _decoders: tuple[Callable[[bytes], object], ...] = (
-        wire.decode_odometry, wire.decode_velocity, wire.decode_wrench, wire.decode_header, wire.decode_clock,
+        wire.decode_odometry, wire.decode_velocity, wire.decode_wrench, wire.decode_header,
         wire.decode_near, wire.decode_integers, wire.decode_floats, wire.peek_stamp, wire.peek_sequence_stamp,
         decode_diagnostics,
     )  # fmt: skip

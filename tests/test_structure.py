@@ -78,7 +78,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/bridge/test_fleet_comings.py": "a fleet of bridges in which UAVs come and go",
     "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
-    "tests/nodes/comm/test_serialize.py": "ptnsbc_io/wire/cdr.py, with the message classes of ROS",
+    "tests/nodes/comm/test_serialize.py": "ptnsbc_io/cdr.py, with the message classes of ROS",
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
     "tests/nodes/fleet/test_process_list.py": "child_process.py with the options that fleet.py refuses",
     "tests/nodes/uav/test_uav_status.py": "uav_node.py: what a UAV says of itself",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ptnsbc_io.wire.cdr import encode, split_stamp
+from ptnsbc_io.cdr import encode, split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 

@@ -18,8 +18,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
+from ptnsbc_io.cdr import encode, split_stamp
 from ptnsbc_io.wire import WireError, decode_odometry
-from ptnsbc_io.wire.cdr import encode, split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.announcements import decode_leg

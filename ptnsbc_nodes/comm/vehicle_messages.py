@@ -13,9 +13,9 @@ from sensor_msgs.msg import BatteryState, NavSatFix
 from std_msgs.msg import Float64MultiArray
 
 from ptnsbc_core.types import AgentConfig
+from ptnsbc_io.cdr import encode, split_stamp
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import WireError
-from ptnsbc_io.wire.cdr import encode, split_stamp
 
 _HIGHEST_M = 1e5
 

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -217,14 +217,17 @@ class ProcessLifetime:
 
 
 @contextmanager
-def ros_context(argv: Sequence[str]) -> Iterator[None]:
+def ros_context(
+    argv: Sequence[str], context: Context | None = None, domain: int | None = None
+) -> Iterator[None]:
     """Inside the `with` nodes can be made; they have the remappings and parameters of `argv`."""
+    no = SignalHandlerOptions.NO
     with ros_errors():
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=list(argv), context=context, domain_id=domain, signal_handler_options=no)
     try:
         yield
     finally:
-        rclpy.try_shutdown()
+        rclpy.try_shutdown(context=context)
 
 
 @contextmanager
@@ -237,13 +240,7 @@ def plain_node(
 ) -> Iterator[tuple[Node, Executor]]:
     """A node without services and its executor, `within` a context or in its own, which `argv` and `domain` are for."""
     context = within or Context()
-    if within is None:
-        with ros_errors():
-            no = SignalHandlerOptions.NO
-            rclpy.init(
-                args=list(argv), context=context, domain_id=domain, signal_handler_options=no
-            )
-    try:
+    with nullcontext() if within else ros_context(argv, context, domain):
         node = rclpy.create_node(
             name,
             namespace=namespace,
@@ -258,9 +255,6 @@ def plain_node(
         finally:
             executor.shutdown()
             node.destroy_node()
-    finally:
-        if within is None:
-            rclpy.try_shutdown(context=context)
 
 
 @contextmanager

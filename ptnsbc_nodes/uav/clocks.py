@@ -16,7 +16,7 @@ from ptnsbc_nodes.comm.door import LockstepStamps, RealTimeStamps
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.uav_controller import Tick, UavFlight
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavFlight, step_time
 from ptnsbc_sim.counters import status_every
 from ptnsbc_sim.scenario import Scenario
 
@@ -32,7 +32,7 @@ class RealTimeClock:
     def __init__(self, node: Node, scenario: Scenario) -> None:
         self._node = node
         self._period_ns = scenario.timing.dt_ns
-        self.start_ns = self.now_ns()
+        self._start_ns = self.now_ns()
         self.pace = Pace(scenario.timing.dt_ns)
         self._ticker: Ticker | None = None
         self._compared: Senders | None = None  # those whose clocks are compared with ours
@@ -68,8 +68,12 @@ class RealTimeClock:
             self._ticker.close()
             self._ticker = None
 
-    def due(self, flight: UavFlight) -> Tick | None:
-        """The tick of the timer; None without fresh odometry: a setpoint proves that the controller has it."""
+    def cutoff_ns(self, at: StepTime) -> int:
+        """A neighbour's message must be stamped before to count at a step."""
+        return NO_CUTOFF_NS
+
+    def due(self, flight: UavFlight) -> StepTime | None:
+        """The step of the timer; None without fresh odometry: a setpoint proves that the controller has it."""
         now_ns, inbox = self.now_ns(), flight.inbox
         elapsed_ns = self.pace.tick(now_ns) * self._period_ns
         if self._compared is not inbox.senders:
@@ -78,10 +82,10 @@ class RealTimeClock:
         self._offsets.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
         if inbox.own is None or flight.controller.odometry_stale(now_ns):
             return None
-        return Tick(now_ns, elapsed_ns, NO_CUTOFF_NS, flight.leg(now_ns))
+        return step_time(now_ns, elapsed_ns, flight.leg(now_ns), self._start_ns)
 
-    def done(self, tick: Tick) -> bool:
-        """A tick is done; returns whether a status follows it at once."""
+    def done(self, at: StepTime) -> bool:
+        """A step is done; returns whether a status follows it at once."""
         return False
 
     @property
@@ -98,7 +102,6 @@ class LockstepClock:
     """The stamps of the odometry, which the simulation gives."""
 
     lockstep = True
-    start_ns = 0
     offset = ""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -135,24 +138,28 @@ class LockstepClock:
     def stop(self) -> None:
         """There is no timer to stop."""
 
-    def due(self, flight: UavFlight) -> Tick | None:
-        """The tick of the newest odometry, once everything for it is here."""
+    def cutoff_ns(self, at: StepTime) -> int:
+        """A neighbour's message must be stamped before to count at a step."""
+        return at.now_ns
+
+    def due(self, flight: UavFlight) -> StepTime | None:
+        """The step of the newest odometry, once everything for it is here."""
         own = flight.inbox.own
         if own is None or own.stamp_ns <= self._done_ns or not flight.epochs.announced:
             return None
-        tick = Tick(own.stamp_ns, self._period_ns, own.stamp_ns, flight.leg(own.stamp_ns))
-        if flight.faults.plays_dead(tick.now_ns):
+        at = step_time(own.stamp_ns, self._period_ns, flight.leg(own.stamp_ns), 0)
+        if flight.faults.plays_dead(at.now_ns):
             flight.controller.forget()
-            self.done(tick)
+            self.done(at)
             return None
-        if not flight.take_slot(tick.leg):
+        if not flight.take_slot(at):
             return None  # the decision is on its way
-        return tick if flight.inbox.holds_tick(self._period_ns, self._near_every) else None
+        return at if flight.inbox.holds_tick(self._period_ns, self._near_every) else None
 
-    def done(self, tick: Tick) -> bool:
-        """A tick is done; returns whether a status follows it at once."""
-        self._done_ns = tick.now_ns
-        return tick.now_ns % self._status_every_ns == 0
+    def done(self, at: StepTime) -> bool:
+        """A step is done; returns whether a status follows it at once."""
+        self._done_ns = at.now_ns
+        return at.now_ns % self._status_every_ns == 0
 
     def status_ns(self) -> int | None:
         """-1 while the flight has not begun or the UAV waits for others: the launcher learns that it is alive."""

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import AgentState
+from ptnsbc_io.cdr import Floats
 from ptnsbc_io.wire import RowTemplate, Stamped, WireError
-from ptnsbc_io.wire.cdr import Floats
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits
 from ptnsbc_sim.counters import UavCounters

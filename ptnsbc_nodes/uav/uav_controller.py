@@ -49,15 +49,6 @@ _MOST_INJECTED = 20  # that are remembered
 _WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed
 
 
-class Tick(NamedTuple):
-    """A tick that is due."""
-
-    now_ns: int
-    elapsed_ns: int  # since the tick before: whole control periods
-    cutoff_ns: int  # a neighbour's message must be stamped before to count
-    leg: Leg | None  # in force for the UAV
-
-
 class StepTime(NamedTuple):
     """The instant of a step, its length and its leg."""
 
@@ -447,13 +438,13 @@ class UavFlight:
         if process.uav is not None:
             self.inbox.lose(process.uav)
 
-    def take_slot(self, leg: Leg | None) -> bool:
-        """Take the slot of a leg; False while it is open and not decided."""
-        if self.decided is None or leg is None or leg.mode != MODE_FORMATION:
+    def take_slot(self, at: StepTime) -> bool:
+        """Take the slot of the leg of a step; False while it is open and not decided."""
+        if self.decided is None or at.mode != MODE_FORMATION:
             return True
-        slots = self.decided.of(leg.t0_ns)
+        slots = self.decided.of(at.t0_ns)
         if slots is not None:
-            self.controller.take_slot(leg.t0_ns, slots)
+            self.controller.take_slot(at.t0_ns, slots)
         return slots is not None
 
     def slots_fault(self, leg: Leg | None) -> str:
@@ -463,21 +454,20 @@ class UavFlight:
         what = f"no slots of the epoch at {seconds(leg.t0_ns):.3f} s on {topics.SLOTS.name}"
         return "" if self.decided.of(leg.t0_ns) else f"holding: {what}"
 
-    def step(self, tick: Tick, start_ns: int) -> FlownStep:
-        """Make the step of a tick; before the first leg its time counts from `start_ns`."""
-        self.faults.strike(tick.now_ns)
+    def step(self, at: StepTime, cutoff_ns: int) -> FlownStep:
+        """Make a step; a neighbour's message must be stamped before `cutoff_ns` to count."""
+        self.faults.strike(at.now_ns)
         mission = self.epochs.scenario
         if mission is not self.scenario:
             self.scenario = mission
             self.controller.follow(mission)
             if self.decider is not None:
                 self.decider.scenario = mission
-        if tick.leg is not None and not self._at_start:
+        if at.flying and not self._at_start:
             self._at_start = True
             self.controller.restart()
-        at = step_time(tick.now_ns, tick.elapsed_ns, tick.leg, start_ns)
-        if not self.take_slot(tick.leg):
+        if not self.take_slot(at):
             at = at._replace(mode=MODE_HOLD)
-        outputs = self.controller.step(at, tick.cutoff_ns)
+        outputs = self.controller.step(at, cutoff_ns)
         assert self.inbox.own is not None  # or no tick is due
         return FlownStep(at, self.inbox.own, outputs)

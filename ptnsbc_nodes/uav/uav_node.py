@@ -215,18 +215,18 @@ class UavNode:
 
     def _advance(self) -> None:
         """Do the tick if one is due."""
-        tick = self._clock.due(self.flight) if self._active else None
-        if tick is None:
+        at = self._clock.due(self.flight) if self._active else None
+        if at is None:
             return
-        step = self.flight.step(tick, self._clock.start_ns)
+        step = self.flight.step(at, self._clock.cutoff_ns(at))
         if not step.at.flying:  # not announced or still to come
             self._clock.pace.missed = 0
-        status_due = self._clock.done(tick)
+        status_due = self._clock.done(at)
         self._outbox.send(step)
         if self._leg_services is not None and step.at.flying:
             self._leg_services.follow(self.flight.controller)
         if status_due:
-            self._report(tick.now_ns)
+            self._report(at.now_ns)
 
     def _on_status_timer(self) -> None:
         self.look_for_vehicle(time.monotonic())

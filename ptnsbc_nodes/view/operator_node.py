@@ -21,8 +21,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ptnsbc_core.nanoseconds import seconds
+from ptnsbc_io.cdr import split_stamp
 from ptnsbc_io.wire import HeaderFields
-from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, decode_leg
 from ptnsbc_nodes.comm.endpoints import Endpoints

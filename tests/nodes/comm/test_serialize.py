@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ptnsbc_io.wire.cdr import encode
+from ptnsbc_io.cdr import encode
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 
 

@@ -73,7 +73,7 @@ class Uavs:
             ends.listen(
                 topics.near(i), bytes, lambda data, i=i: self.near[i].append(wire.decode_near(data))
             )
-        ends.listen(topics.CLOCK, bytes, lambda data: self.clock.append(wire.decode_clock(data)))
+        ends.listen(topics.CLOCK, bytes, lambda data: self.clock.append(wire.peek_stamp(data)))
         ends.listen(topics.MARKERS, bytes, self.markers.append)
         self.sim = sim_node(
             ros.node("sim"),

@@ -157,7 +157,7 @@ def test_any_uav_can_be_heard_and_those_of_the_slot_are_used() -> None:
     epochs = Epochs(SCENARIO)
     epochs.announce(0, "form")
     one.decided.keep(Decision(0, SECOND))
-    assert one.take_slot(epochs.at(0))
+    assert one.take_slot(step_time(0, 0, epochs.at(0), 0))
     assert one.controller.inbox.senders.states == (4,)  # slot 2 has the leader as parent: UAV 4
     assert one.controller.inbox.senders.estimators == (1,)  # of slot 3
     held = agent_config(with_slots(SCENARIO, SECOND), 5)
@@ -177,19 +177,19 @@ def test_fixed_slots_hear_nobody_else() -> None:
 
 def test_a_leg_without_a_decision_is_not_flown_and_says_so() -> None:
     one, epochs = new_uav(3), Epochs(SCENARIO)
-    assert one.take_slot(epochs.at(0))  # no leg yet
+    assert one.take_slot(step_time(0, 0, epochs.at(0), 0))  # no leg yet
     epochs.announce(2_000_000_000, "form")
     leg = epochs.at(2_000_000_000)
-    assert not one.take_slot(leg)
+    assert not one.take_slot(step_time(0, 0, leg, 0))
     assert one.slots_fault(leg) == ("holding: no slots of the epoch at 2.000 s on /formation/slots")
     one.decided.keep(Decision(1_000_000_000, FIRST))  # of another epoch
     assert one.slots_fault(leg)
     one.decided.keep(Decision(2_000_000_000, SECOND))
-    assert one.take_slot(leg)
+    assert one.take_slot(step_time(0, 0, leg, 0))
     assert one.slots_fault(leg) == ""
     epochs.announce(3_000_000_000, "hold")
     taken = one.controller.inbox.senders
-    assert one.take_slot(epochs.at(3_000_000_000))  # keeps its slot
+    assert one.take_slot(step_time(3_000_000_000, 0, epochs.at(3_000_000_000), 0))  # keeps its slot
     assert one.controller.inbox.senders is taken
 
 
@@ -199,7 +199,7 @@ def test_limits_of_the_vehicle_outlive_the_slot() -> None:
     filtered = one.controller.config.filter._replace(max_speed=1.25)
     one.controller.config = one.controller.config._replace(filter=filtered)
     one.decided.keep(Decision(0, SECOND))
-    one.take_slot(epochs.at(0))
+    one.take_slot(step_time(0, 0, epochs.at(0), 0))
     assert one.controller.config.filter == filtered
 
 
@@ -286,7 +286,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
                     controller.inbox.on_state(other, state)
                     controller.inbox.on_estimate(other, estimate)
             at = step_time(now_ns, period_ns, leg, 0)
-            if not one.take_slot(leg):
+            if not one.take_slot(step_time(0, 0, leg, 0)):
                 at = at._replace(mode=MODE_HOLD)
             out = controller.step(at, NO_CUTOFF_NS)
             told = own.values.copy()

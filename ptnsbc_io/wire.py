@@ -1,5 +1,7 @@
 """Messages of flights as bytes, without ROS: states, setpoints, stamps, rows, transforms, diagnostics, clouds.
 
+`raw=True` publishers and subscriptions carry them.
+
 A template encodes messages whose frames are fixed: what does not change is built once. A decoder takes any frames.
 A checked decoder takes what comes from outside, and refuses what no vehicle does: its limits are far above that, and
 far below what overflows in a law. A flight in which one number of one message is NaN would be NaN from then on.
@@ -17,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.nanoseconds import SECOND_NS
-from ptnsbc_io.wire.cdr import (
+from ptnsbc_core.types import ODOMETRY_SIZE
+from ptnsbc_io.cdr import (
     LITTLE_ENDIAN_HEADER,
     TIME,
     Floats,
     Reader,
-    Stamped,
-    WireError,
     byte_order,
     cut,
     encode_string,
@@ -32,8 +33,9 @@ from ptnsbc_io.wire.cdr import (
     pad,
     stamp_bytes,
 )
+from ptnsbc_io.cdr import Stamped as Stamped
+from ptnsbc_io.cdr import WireError as WireError
 
-ODOMETRY_SIZE = 13
 LARGEST_POSITION_M = 1e6
 LARGEST_SPEED_M_S = 1e3
 LARGEST_RATE_RAD_S = 1e3
@@ -47,7 +49,6 @@ _ODOMETRY = "nav_msgs/Odometry"
 _VELOCITY = "geometry_msgs/TwistStamped"
 _WRENCH = "geometry_msgs/WrenchStamped"
 _HEADER = "std_msgs/Header"
-_CLOCK = "rosgraph_msgs/Clock"
 _ROW = "std_msgs/MultiArray"
 _DIAGNOSTICS = "diagnostic_msgs/DiagnosticArray"
 _NEAR = "sensor_msgs/PointCloud2"
@@ -136,11 +137,6 @@ def decode_header(buf: bytes) -> HeaderFields:
     """Stamp [ns] and frame_id of a std_msgs/Header, or of a message that starts with one."""
     stamp_ns, reader = peek_stamp(buf, _HEADER), Reader(buf, _HEADER, _FRAME_AT)
     return HeaderFields(stamp_ns, reader.text())
-
-
-def decode_clock(buf: bytes) -> int:
-    """The time [ns] of a rosgraph_msgs/Clock."""
-    return peek_stamp(buf, _CLOCK)
 
 
 def peek_stamp(buf: bytes, what: str = "stamped message", at: int = 4) -> int:

@@ -16,7 +16,6 @@ DECODERS = [
     wire.decode_velocity,
     wire.decode_wrench,
     wire.decode_header,
-    wire.decode_clock,
     wire.peek_stamp,
     wire.peek_sequence_stamp,
 ]
@@ -58,7 +57,7 @@ def test_rubbish_raises_only_wire_errors(buf, data):
         (wire.decode_wrench, samples()[1]),
         (wire.decode_near, samples()[2]),
         (wire.decode_header, samples()[3]),
-        (wire.decode_clock, samples()[4]),
+        (wire.peek_stamp, samples()[4]),
         (wire.decode_near, samples()[5]),
     ],
 )
