@@ -135,6 +135,7 @@ PictureOption = Annotated[
 ]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing bag.")]
 JsonOption = Annotated[bool, option("--json", "Print one JSON object on stdout and nothing else.")]
+VerboseOption = Annotated[bool, option("--verbose -v", "Print everything.")]
 PlainOption = Annotated[bool, option("--plain", "Lines instead of the table that redraws itself.")]
 AllowArmingOption = Annotated[bool, option("--allow-arming", "Arm real vehicles and take off.")]
 FoxgloveOption = Annotated[

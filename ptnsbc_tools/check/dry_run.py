@@ -1,18 +1,26 @@
-"""Pre-flight dry runs as findings: the share that met, the worst flight, and what would mend it."""
+"""Pre-flight dry runs as findings, and what they and the closed forms say of the plan."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sweep.dry_run import START_M, dry_run, remedies
+from ptnsbc_sim.sweep.dry_run import START_M, DryFlight, DryRun, dry_run, remedies
+from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools import console
-from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_tools.check.geometry import meetings
 from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.sweeps.summary import share
 
 KEY = "dry run"
+_DEADLINE = "gains.formation.deadline_s"
+_MOST_NAMED = 3  # obstacles of a plan
 
 
-def flown(scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True) -> list[Finding]:
+def flown(
+    scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
+) -> tuple[DryRun, list[Finding]]:
     """Fly a scenario, as it stands and perturbed, with progress, and say what came of it.
 
     Raises:
@@ -20,6 +28,11 @@ def flown(scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
     """
     with console.compiling(), console.progress("dry runs", progress) as advance:
         done = dry_run(scenario, runs, progress=advance)
+    return done, list(findings(scenario, done))
+
+
+def findings(scenario: Scenario, done: DryRun) -> Findings:
+    """The share that met, who is late, the worst flight, the least room, and what would mend it."""
     of = len(done.flights)
     accepted = done.accepted()
     first = "" if done.flights[0].met else "; the unperturbed flight is not met"
@@ -32,12 +45,66 @@ def flown(scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
     severity = ERROR if not accepted else WARNING if done.met < of else INFO
     value = f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}"
     limit = f">= {100 * done.least:g} %, and the unperturbed flight"
-    findings = [Finding(severity, KEY, value, limit, advice)]
+    yield Finding(severity, KEY, value, limit, advice)
+    if done.flights[0].late:
+        value = f"{len(done.flights[0].late)} of {len(scenario.uav_ids)} UAVs in place after the deadline"
+        advice = f"raise {_DEADLINE}, or start or place them farther from what they give way to"
+        yield Finding(WARNING, f"{KEY}: late", value, "0", advice)
     worst, room = done.worst, done.least_room_m
     if not worst.met:
         value = f"UAV {worst.uav} {worst.verdict}"
-        findings.append(Finding(WARNING, f"{KEY}: worst", value, "met", worst.cause))
+        yield Finding(WARNING, f"{KEY}: worst", value, "met", worst.cause)
     if room is not None:
         severity, value = WARNING if room < 0.0 else INFO, f"{room:.3f} m beyond the keep-outs"
-        findings.append(Finding(severity, f"{KEY}: room", value, ">= 0 m", ""))
-    return findings
+        yield Finding(severity, f"{KEY}: room", value, ">= 0 m", "")
+
+
+def counts(done: DryRun) -> str:
+    """The dry runs by their verdicts, in words: `19 of 21 dry runs met, 2 met late`."""
+    verdicts = [flight.verdict for flight in done.flights]
+    kinds = [kind for kind in reversed(WORST_FIRST) if kind in verdicts]
+    first, *others = (f"{verdicts.count(kind)} {kind}" for kind in kinds)
+    number, _, kind = first.partition(" ")
+    return ", ".join([f"{number} of {len(verdicts)} dry runs {kind}", *others])
+
+
+def _in_place(scenario: Scenario, flight: DryFlight) -> str:
+    """Who is in place by the deadline, and who came later because of what."""
+    by = f"by {scenario.gains.formation.deadline_s:g} s"
+    if not flight.late:
+        return f"{flight.in_place} of {len(scenario.uav_ids)} in place {by}"
+    last_s = max(row.arrived_s or 0.0 for row in flight.late)
+    names = dict.fromkeys(name for row in flight.late for name in row.gave_way_to.split(","))
+    uavs = {f"uav{uav}" for uav in scenario.uav_ids}
+    why = ", ".join(name for name in names if name and name not in uavs)
+    if uavs & names.keys():
+        why += ", and each other" if why else "each other"
+    why = f": {why}" if why else ""
+    return f"{flight.in_place} in place {by}, {len(flight.late)} later, the last at {last_s:.1f} s{why}"
+
+
+def plan(scenario: Scenario, found: Iterable[Finding], done: DryRun | None) -> dict[str, str]:
+    """The plan in a few lines: deadline or legs, the flight as it stands, and who meets what when."""
+    lines = {one.key: one.value for one in found if one.key == _DEADLINE}
+    told = {"deadline": lines[_DEADLINE]} if lines else {}
+    if scenario.mission is not None:
+        told["legs"] = ", ".join(f"{leg.name} by {leg.due_s:g} s" for leg in scenario.legs)
+    if done is not None:
+        told["flown"] = _in_place(scenario, done.flights[0])
+        if done.least_room_m is not None:
+            told["flown"] += f"; least room {done.least_room_m:.2f} m beyond the keep-outs"
+    told["meets"] = "; ".join(_met(scenario)) or "nothing in its way after the deadline"
+    return told
+
+
+def _met(scenario: Scenario) -> Iterator[str]:
+    """Each obstacle with those that meet it, the first one first."""
+    uavs: dict[str, list[int]] = {}
+    first_s: dict[str, float] = {}
+    for meeting in sorted(meetings(scenario), key=lambda one: one.first_s):
+        uavs.setdefault(meeting.obstacle.name, []).append(meeting.uav)
+        first_s.setdefault(meeting.obstacle.name, meeting.first_s)
+    for name in list(uavs)[:_MOST_NAMED]:
+        yield f"{name} from {first_s[name]:.1f} s (UAV {', '.join(map(str, uavs[name]))})"
+    if len(uavs) > _MOST_NAMED:
+        yield f"{len(uavs) - _MOST_NAMED} more"

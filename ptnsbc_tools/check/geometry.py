@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from ptnsbc_sim.scenario.constants import (
     shape_problem,
     sight_speed,
 )
+from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
@@ -144,36 +147,58 @@ def starts_clear(scenario: Scenario) -> Findings:
                 yield judge(f"uavs[{index}].position_m", value, limit, advice, ERROR)
 
 
-def encounters(scenario: Scenario) -> Findings:
-    """Obstacles on the path of the formation after the deadline."""
-    deadline, duration_s = scenario.gains.formation.deadline_s, scenario.timing.duration_s
+class Meeting(NamedTuple):
+    """The path of a UAV in the formation inside the keep-out of an obstacle, after the deadline."""
+
+    obstacle: Obstacle
+    uav: int
+    first_s: float
+    closest_m: float
+    speed_m_s: float  # the largest along the path
+
+
+def meetings(scenario: Scenario) -> Iterator[Meeting]:
+    """The obstacles on the path of the formation after the deadline."""
     scenario = with_slots_of_starts(scenario)
-    if duration_s <= deadline or not scenario.world.bodies:
+    times = np.arange(
+        scenario.gains.formation.deadline_s, scenario.timing.duration_s, _path_step_s(scenario)
+    )
+    if times.size < 2 or not scenario.world.bodies:
         return
-    step_s = max(_PATH_STEP_S, (duration_s - deadline) / _MOST_STEPS)
-    if step_s > _PATH_STEP_S:
-        value = f"{duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path"
-        limit = f"<= {deadline + _MOST_STEPS * _PATH_STEP_S:g} s, to look every {_PATH_STEP_S:g} s"
-        yield judge("timing.duration_s", value, limit, "check a shorter flight on the same path")
-    times = np.arange(deadline, duration_s, step_s)
     path = reference_positions(leader_trajectory(scenario), times)
-    off = scenario.formation.avoidance == "off"
     for obstacle in scenario.world.bodies:
         for uav in scenario.uav_ids:
-            beside = places_beside_leader(scenario, uav, times)
-            distance = obstacle.distances(path + beside, times)
-            closest = int(np.argmin(distance))
-            if distance[closest] >= obstacle.keep_out_m:
-                continue
-            first = times[int(np.argmax(distance < obstacle.keep_out_m))]
-            speed = float(np.linalg.norm(np.gradient(path + beside, times, axis=0), axis=1).max())
-            if not off:
-                yield from _sight(scenario, obstacle.name, uav, obstacle.keep_out_m, speed)
-            value = f"meets UAV {uav} from t = {first:.1f} s, closest {distance[closest]:.2f} m"
-            limit = f">= {obstacle.keep_out_m:g} m"
-            advice = "set formation.avoidance: set_based" if off else "avoided in flight"
-            severity = WARNING if off else INFO
-            yield judge(f"world.obstacles {obstacle.name}", value, limit, advice, severity)
+            way = path + places_beside_leader(scenario, uav, times)
+            distance = obstacle.distances(way, times)
+            inside = distance < obstacle.keep_out_m
+            if inside.any():
+                first_s, closest_m = float(times[np.argmax(inside)]), float(distance.min())
+                speeds = np.linalg.norm(np.gradient(way, times, axis=0), axis=1)
+                yield Meeting(obstacle, uav, first_s, closest_m, float(speeds.max()))
+
+
+def _path_step_s(scenario: Scenario) -> float:
+    flown_s = scenario.timing.duration_s - scenario.gains.formation.deadline_s
+    return max(_PATH_STEP_S, flown_s / _MOST_STEPS)
+
+
+def encounters(scenario: Scenario) -> Findings:
+    """Obstacles on the path of the formation after the deadline."""
+    step_s = _path_step_s(scenario)
+    if step_s > _PATH_STEP_S and scenario.world.bodies:
+        value = f"{scenario.timing.duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path"
+        longest_s = scenario.gains.formation.deadline_s + _MOST_STEPS * _PATH_STEP_S
+        limit = f"<= {longest_s:g} s, to look every {_PATH_STEP_S:g} s"
+        yield judge("timing.duration_s", value, limit, "check a shorter flight on the same path")
+    off = scenario.formation.avoidance == "off"
+    for obstacle, uav, first_s, closest_m, speed in meetings(scenario):
+        if not off:
+            yield from _sight(scenario, obstacle.name, uav, obstacle.keep_out_m, speed)
+        value = f"meets UAV {uav} from t = {first_s:.1f} s, closest {closest_m:.2f} m"
+        limit = f">= {obstacle.keep_out_m:g} m"
+        advice = "set formation.avoidance: set_based" if off else "avoided in flight"
+        severity = WARNING if off else INFO
+        yield judge(f"world.obstacles {obstacle.name}", value, limit, advice, severity)
 
 
 def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: float) -> Findings:

@@ -15,6 +15,7 @@ from ptnsbc_tools.options import (
     FlightChoices,
     JsonOption,
     ScenarioArgument,
+    VerboseOption,
     argument,
     option,
     scenario_with,
@@ -36,6 +37,7 @@ def check(
     fly: Annotated[
         bool, option("--fly/--no-fly", "Fly dry runs when the rest finds no error.")
     ] = True,
+    verbose: VerboseOption = False,
     runs: Annotated[
         int, option("--runs -n N", "Perturbed dry runs; 0: none.", 0, MOST_RUNS)
     ] = DRY_RUNS,
@@ -49,7 +51,7 @@ def check(
     or lossy links, fewer than 95 % of all.
     """
     from ptnsbc_tools.library import flying
-    from ptnsbc_tools.tables import findings_table
+    from ptnsbc_tools.tables import check_report
 
     chosen = choices.of(scenario)
     if backend == "mavlink":
@@ -57,9 +59,15 @@ def check(
     report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True)
     if json:
         findings = [dataclasses.asdict(finding) for finding in report]
-        console.print_json({"scenario": chosen.name, "ok": report.ok, "findings": findings})
+        told = {"scenario": chosen.name, "ok": report.ok, "plan": report.plan}
+        console.print_json({**told, "findings": findings})
     else:
-        console.out().print(findings_table(f"Pre-flight check of {chosen.name}", report))
+        for part in check_report(report, verbose=verbose):
+            console.out().print(part)
+        same = " with the same options" if choices.keys() else ""
+        how = "simulate" if backend == "sim" else "fleet --backend mavlink"
+        if report.ok:
+            console.show(f"next: ptnsbc {how} {scenario}{same}")
     report.refuse()
 
 
@@ -72,7 +80,7 @@ def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None
     report = flying.check(scenario, dry_runs=0)
     warnings = [finding for finding in report if finding.severity != INFO]
     if warnings and not quiet:
-        console.err().print(findings_table(f"Pre-flight check of {scenario.name}", warnings))
+        console.err().print(findings_table(warnings, brief=True))
     if refusing:
         report.refuse()
 
@@ -95,7 +103,7 @@ def doctor(
     if json:
         console.print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
     else:
-        console.out().print(findings_table("This computer", findings))
+        console.out().print(findings_table(findings))
     if any(finding.severity == ERROR for finding in findings):
         raise typer.Exit(_LACKING)
 

@@ -217,7 +217,7 @@ def _refuse_dry_runs(scenario: Scenario) -> None:
     from ptnsbc_tools.check import refuse
     from ptnsbc_tools.check.dry_run import flown
 
-    refuse(scenario, flown(scenario))
+    refuse(scenario, flown(scenario)[1])
 
 
 def _objection(scenario: Scenario) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
@@ -22,6 +22,9 @@ from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.reading.bag_reader import read_status
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.sweep.dry_run import DryRun
 
 
 class FlightFailedError(PtnsbcError):
@@ -58,11 +61,19 @@ class CheckReport:
 
     scenario: Scenario = field(repr=False)
     findings: tuple[Finding, ...]
+    flown: DryRun | None = field(default=None, repr=False)
 
     @property
     def ok(self) -> bool:
         """True if nothing that was found is an error."""
         return all(finding.severity != ERROR for finding in self.findings)
+
+    @property
+    def plan(self) -> dict[str, str]:
+        """The plan in a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
+        from ptnsbc_tools.check.dry_run import plan
+
+        return plan(self.scenario, self.findings, self.flown)
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(self.findings)
@@ -88,7 +99,8 @@ def check(
     if dry_runs and all(finding.severity != ERROR for finding in findings):
         from ptnsbc_tools.check.dry_run import flown
 
-        findings = [*flown(scenario, dry_runs, progress), *findings]
+        done, found = flown(scenario, dry_runs, progress)
+        return CheckReport(scenario, (*found, *findings), done)
     return CheckReport(scenario, tuple(findings))
 
 

@@ -49,8 +49,7 @@ def _parts(result: Any) -> Iterable[Any]:
                 return [f"{result.scenario.name}: no verdict: {error}"]
             return [tables.deadline_table(verdict), tables.verdict_line(verdict)]
         case "CheckReport":
-            title = f"Pre-flight check of {result.scenario.name}"
-            return [tables.findings_table(title, result)]
+            return tables.check_report(result)
         case "Sweep":
             return [*summary.tables(result.flown), summary.line(result.flown)]
         case "SweepComparison":

@@ -124,10 +124,24 @@ def test_help_loads_neither_the_laws_nor_what_parses_options(words: list[str]) -
     assert done.stderr == "[]\n"
 
 
-def test_check_of_the_paper() -> None:
+def test_check_says_first_whether_then_the_plan_then_what_to_type() -> None:
     code, out, err = run("check", "paper_5", "--runs", 2)
-    assert (code, err) == (0, "")
-    assert "Pre-flight check of paper_5" in out
+    lines = out.splitlines()
+    assert (code, err, lines[0]) == (0, "", "paper_5: accepted: 3 of 3 dry runs met")
+    assert [line.split()[0] for line in lines[1:4]] == ["deadline", "flown", "meets"]
+    assert lines[-1] == "next: ptnsbc simulate paper_5" and len(lines) <= 24
+    assert "info" not in out and "findings need no change: -v" in out
+    assert "sigma_min" in run("check", "paper_5", "--no-fly", "-v")[1]
+
+
+def test_check_that_refuses_says_why_and_what_to_change() -> None:
+    words = ("paper_5", "--set", "gains.formation.deadline_s=1")
+    code, out, err = run("check", *words)
+    assert code == 2 and err.count("\n") == 1
+    first, *lines = out.splitlines()
+    assert first.startswith("paper_5: refused: gains.formation.deadline_s: 1 s, too short")
+    assert any("change: set gains.formation.deadline_s to at least" in line for line in lines)
+    assert len(lines) < 24 and "next:" not in out
 
 
 def test_check_as_json() -> None:
@@ -135,6 +149,8 @@ def test_check_as_json() -> None:
     data = json.loads(out)
     assert (code, err, data["ok"]) == (0, "", True)
     assert {"severity", "key", "value", "limit", "advice"} == set(data["findings"][0])
+    assert "info" in {one["severity"] for one in data["findings"]}
+    assert data["plan"]["flown"].startswith("5 of 5 in place by 5 s")
 
 
 def test_check_of_what_real_vehicles_fly() -> None:

@@ -67,7 +67,10 @@ def test_deadline_below_what_the_speed_limit_allows() -> None:
     (found,) = errors(gains__filter={"max_speed_m_s": 3})
     assert found.key == "gains.formation.deadline_s"
     assert found.limit.startswith(">= 7.44 s, with 2.5 m/s")
-    assert found.value == "5 s, too short for 5 of 5 UAVs; UAV 3 starts 7.97 m from its place"
+    assert (
+        found.value
+        == "5 s, too short for 5 of 5 UAVs; UAV 3 starts 7.97 m from its place and needs 7.44 s"
+    )
 
 
 def test_deadline_below_what_the_acceleration_limit_allows() -> None:

@@ -1,11 +1,13 @@
 """Dry runs as findings: what is refused, and what would mend it."""
 
+from dataclasses import replace
+
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.sweep import dry_run as engine
 from ptnsbc_sim.sweep.dry_run import DryFlight, DryRun, Remedy
-from ptnsbc_tools.check import dry_run
+from ptnsbc_sim.sweep.rows import not_flown
+from ptnsbc_tools.check import check, dry_run
 
 SCENARIO = load_scenario("paper_5_free")
 GOOD = DryFlight("met", 2, "", 0.01, 0.5)
@@ -18,9 +20,8 @@ def say(monkeypatch):
     """The findings of flights that nobody flew."""
 
     def findings(*flights: DryFlight, mended: tuple[Remedy, ...] = ()):
-        monkeypatch.setattr(dry_run, "dry_run", lambda *_, **__: DryRun(flights))
         monkeypatch.setattr(dry_run, "remedies", lambda *_: mended)
-        return dry_run.flown(SCENARIO)
+        return list(dry_run.findings(SCENARIO, DryRun(flights)))
 
     return findings
 
@@ -58,5 +59,35 @@ def test_a_keep_out_is_worse_than_a_miss(say):
     assert share.severity == "warning"
 
 
-def test_the_engine_is_the_one_of_sweeps():
-    assert dry_run.dry_run is engine.dry_run
+def _late(uav: int, arrived_s: float, gave_way_to: str):
+    return replace(not_flown(0, ""), uav=uav, arrived_s=arrived_s, gave_way_to=gave_way_to)
+
+
+CAME = _late(4, 6.2, "boxA,uav2"), _late(2, 9.13, "uav4")
+WAY = DryFlight("met late", 2, "", 0.4, 0.5, in_place=3, late=CAME)
+
+
+def test_who_is_late_is_a_warning_and_stands_in_the_plan(say):
+    share, late, _ = say(*[WAY] * 2, GOOD)
+    assert share.value.startswith("3 of 3")
+    assert (late.severity, late.value) == ("warning", "2 of 5 UAVs in place after the deadline")
+    told = dry_run.plan(SCENARIO, [], DryRun((WAY,)))
+    assert told["flown"] == (
+        "3 in place by 5 s, 2 later, the last at 9.1 s: boxA, and each other; "
+        "least room 0.50 m beyond the keep-outs"
+    )
+
+
+def test_flights_are_counted_by_their_verdicts():
+    assert dry_run.counts(DryRun((GOOD,) * 4)) == "4 of 4 dry runs met"
+    assert dry_run.counts(DryRun((WAY, LATE, WAY))) == "2 of 3 dry runs met late, 1 missed"
+
+
+def test_the_plan_says_who_meets_what_when():
+    scenario = load_scenario("paper_5")
+    told = dry_run.plan(scenario, check(scenario), None)
+    assert told["deadline"] == "5 s; UAV 3 starts 7.97 m from its place and needs 3.17 s"
+    assert told["meets"] == "O1 from 18.0 s (UAV 5, 4); O2 from 36.3 s (UAV 1, 4, 5)"
+    assert "flown" not in told
+    told = dry_run.plan(load_scenario("mission_6"), [], None)
+    assert told["legs"].startswith("form-1 by 7 s, gate by 17 s")
