@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -10,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_autopilot.controller import FlightController
+from ptnsbc_autopilot.fault_lines import FaultPort, TimedFault
 from ptnsbc_autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_autopilot.firmware.px4 import Px4
 from ptnsbc_autopilot.firmware.stm32 import Stm32
 from ptnsbc_autopilot.physics.body import VehicleDescription, default_plant
 from ptnsbc_autopilot.physics.frames import PX4_HOME, Geodetic
 from ptnsbc_autopilot.physics.navigation import QUALITIES
-from ptnsbc_autopilot.server import Address, Codec, Endpoint, VehicleServer
+from ptnsbc_autopilot.server import Address, Codec, Endpoint, VehicleServer, serve
 from ptnsbc_autopilot.vehicle import GCS, IMPOSTOR, AutopilotError, Log
 from ptnsbc_io.files import read_key
 from ptnsbc_sim.plants.build import plant_config
@@ -24,7 +26,7 @@ from ptnsbc_sim.scenario import Scenario, load_scenario
 
 KINDS: dict[str, type[FlightController]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
 
-_SCENARIO_KINDS = {"px4": "px4", "ardupilot": "arducopter", "generic": "stm32"}
+FIRMWARE = {"px4": "px4", "ardupilot": "arducopter", "generic": "stm32"}
 """Types of stand-ins by the autopilot names of scenarios."""
 
 PORT_BASE = 14540
@@ -135,7 +137,7 @@ def starts(fleet: Fleet) -> list[Start]:
 def _start(fleet: Fleet, n: int, scenario: Scenario) -> Start:
     link = scenario.vehicle_link(scenario.uav_ids[n])
     body = _body(fleet, n, scenario)
-    return Start(link.sysid, body, _SCENARIO_KINDS[link.autopilot], link.connect, link.signing_key)
+    return Start(link.sysid, body, FIRMWARE[link.autopilot], link.connect, link.signing_key)
 
 
 def _datum(scenario: Scenario) -> Geodetic:
@@ -176,6 +178,43 @@ def stations(options: Options, t: float, say: Log) -> list[VehicleServer]:
     for name, value in options.parameters.items():
         _set_parameter([station.vehicle for station in made], name, value)
     return made
+
+
+def run(
+    options: Options,
+    control_port: int | None,
+    timed: Sequence[TimedFault],
+    say: Log,
+    stop: Callable[[], bool],
+    before: Callable[[], object] = lambda: None,
+) -> None:
+    """Build the vehicles, open the ports and serve them until `stop()`; `before()` is called before they are served.
+
+    Raises:
+        AutopilotError: an option is not valid, or a port is taken.
+    """
+    say("autopilot: starting; the first start compiles for some seconds")
+    start_t = time.monotonic()
+    fleet = stations(options, start_t, say)
+
+    def ready() -> None:
+        for station in fleet:
+            ends = ", ".join(
+                f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"
+                for end in station.endpoints
+            )
+            place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth.position_enu)
+            say(f"autopilot: system {station.vehicle.system} at {place} m, udp {ends}")
+
+    vehicles = [station.vehicle for station in fleet]
+    with FaultPort(vehicles, start_t, port=control_port, timed=timed, log=say) as control:
+        before()
+        serve(fleet, stop, control.poll, ready)
+    for station in fleet:
+        dropped = sum(end.codec.dropped for end in station.endpoints)
+        if dropped:
+            say(f"autopilot: system {station.vehicle.system}: {dropped} packets dropped")
+    say("autopilot: stopped")
 
 
 def _set_parameter(vehicles: Sequence[FlightController], name: str, value: float) -> None:

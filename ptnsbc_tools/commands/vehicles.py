@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,15 +24,11 @@ from ptnsbc_tools.options import (
 )
 
 if TYPE_CHECKING:
-    from ptnsbc_autopilot.fault_lines import TimedFault
-    from ptnsbc_autopilot.launch import Options
-    from ptnsbc_autopilot.server import VehicleServer
     from ptnsbc_nodes.bridge.hover_test import Identified, Settings
     from ptnsbc_sim.scenario import Scenario
 
 _EXAMPLE = "experiment_4"
 _INSTALL = "install the extras [ros,mavlink] or source ROS 2"
-_FIRMWARE = {"ardupilot": "arducopter", "generic": "stm32"}  # that a stand-in imitates
 _FARTHEST_M = 1e4  # the flat map of a stand-in holds for some kilometres
 
 
@@ -285,55 +281,26 @@ def autopilot(
 
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
+    from ptnsbc_autopilot import launch
     from ptnsbc_autopilot.fault_lines import parse_timed_fault
-    from ptnsbc_autopilot.launch import Fleet, Network, Options, parse_address, parse_parameter
-
-    like = stand_ins
-    fleet = Fleet(
-        like.count, like.scenario, like.gnss, like.origin_spread, like.yaw, like.seed, like.battery
-    )
-    address = parse_address(links.gcs, "gcs") if links.gcs else None
-    network = Network(links.port_base, links.connect, address, links.key)
-    timed = [parse_timed_fault(text) for text in faults or ()]
-    parameters = dict(parse_parameter(text) for text in like.parameters or ())
-    firmware = _FIRMWARE.get(like.kind or "", like.kind)
-    run(Options(firmware, fleet, network, like.boot_time, parameters), control, timed)
-
-
-def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:
-    """Build the vehicles, open the ports and serve them."""
-    from ptnsbc_autopilot.fault_lines import FaultPort
-    from ptnsbc_autopilot.launch import stations
-    from ptnsbc_autopilot.server import serve
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.signals import StopRequest
 
-    began = time.monotonic()
+    like, began = stand_ins, time.monotonic()
+    fleet = launch.Fleet(
+        like.count, like.scenario, like.gnss, like.origin_spread, like.yaw, like.seed, like.battery
+    )
+    address = launch.parse_address(links.gcs, "gcs") if links.gcs else None
+    network = launch.Network(links.port_base, links.connect, address, links.key)
+    timed = [parse_timed_fault(text) for text in faults or ()]
+    parameters = dict(launch.parse_parameter(text) for text in like.parameters or ())
+    firmware = None if like.kind is None else launch.FIRMWARE[like.kind]
+    options = launch.Options(firmware, fleet, network, like.boot_time, parameters)
 
     def say(line: str) -> None:
         console.say(f"{time.monotonic() - began:9.2f} {line}")
 
     with StopRequest() as stop:
-        say("autopilot: starting; the first start compiles for some seconds")
-        start_t = time.monotonic()
-        fleet = stations(options, start_t, say)
-        vehicles = [station.vehicle for station in fleet]
-        with FaultPort(vehicles, start_t, port=control_port, timed=timed, log=say) as control:
-            # A real flight controller has a processor of its own; these share one.
-            environment.prefer_punctuality()
-            serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
-        for station in fleet:
-            dropped = sum(end.codec.dropped for end in station.endpoints)
-            if dropped:
-                say(f"autopilot: system {station.vehicle.system}: {dropped} packets dropped")
-        say("autopilot: stopped")
-
-
-def _ready(fleet: list[VehicleServer], say: Callable[[str], None]) -> None:
-    for station in fleet:
-        ends = ", ".join(
-            f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"
-            for end in station.endpoints
-        )
-        place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth.position_enu)
-        say(f"autopilot: system {station.vehicle.system} at {place} m, udp {ends}")
+        # A real flight controller has a processor of its own; these share one.
+        first = environment.prefer_punctuality
+        launch.run(options, control, timed, say, lambda: stop.came, first)

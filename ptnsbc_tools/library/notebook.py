@@ -49,7 +49,7 @@ def _parts(result: Any) -> Iterable[Any]:
                 return [f"{result.scenario.name}: no verdict: {error}"]
             return [tables.deadline_table(verdict), tables.verdict_line(verdict)]
         case "CheckReport":
-            return tables.check_report(result)
+            return tables.check_report(result, verbose=True)
         case "Sweep":
             return [*summary.tables(result.flown), summary.line(result.flown)]
         case "SweepComparison":
