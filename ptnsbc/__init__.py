@@ -16,19 +16,11 @@ from ptnsbc_io.bag.repair import Repaired
 from ptnsbc_sim.scenario import Scenario, available
 from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
-from ptnsbc_tools.check import Finding
+from ptnsbc_tools.check import CheckReport, Finding
 from ptnsbc_tools.doctor import examine as doctor
 from ptnsbc_tools.library.bags import repair, rerun, trim
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, Quantity
-from ptnsbc_tools.library.flying import (
-    CheckReport,
-    check,
-    fly,
-    fly_fleet,
-    load,
-    read_bag,
-    verdict,
-)
+from ptnsbc_tools.library.flying import check, fly, fly_fleet, load, read_bag, verdict
 from ptnsbc_tools.library.new_scenario import new
 from ptnsbc_tools.library.notebook import register as _register
 from ptnsbc_tools.library.reporting import Report, export, report

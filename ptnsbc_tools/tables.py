@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
@@ -12,10 +12,7 @@ from rich.text import Text
 from ptnsbc_sim.verdict import Verdict
 from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools import console
-from ptnsbc_tools.check import INFO, Finding
-
-if TYPE_CHECKING:
-    from ptnsbc_tools.library.flying import CheckReport
+from ptnsbc_tools.check.finding import Finding
 
 _COLOURS = {
     "error": "bold red",
@@ -29,7 +26,6 @@ _COLOURS = {
     "met": "green",
 }
 _PAIRS = 3
-_MOST_FINDINGS = 4  # of a check at a glance
 
 # Heading, attribute and digits of each column of numbers
 _Columns = tuple[tuple[str, str, int], ...]
@@ -98,31 +94,6 @@ def findings_table(findings: Iterable[Finding], *, brief: bool = False) -> Table
             text.append(f"\nchange: {one.advice}")
         table.add_row(word(one.severity), text)
     return table
-
-
-def check_report(report: CheckReport, *, verbose: bool = False) -> Iterator[Table | Text]:
-    """The check of a scenario: accepted or refused and why, what to change, and the plan."""
-    from ptnsbc_tools.check.dry_run import counts  # loads the laws
-
-    loud = [one for one in report if one.severity != INFO]
-    if report.ok:
-        why = "by closed forms" if report.flown is None else counts(report.flown)
-        warnings = f"; {console.counted(len(loud), 'warning')}" if loud else ""
-        verdict = Text.assemble(("accepted", _COLOURS["met"]), f": {why}{warnings}")
-    else:
-        what = f": {loud[0].key}: {loud[0].value.partition(';')[0]}"
-        verdict = Text.assemble(("refused", _COLOURS["error"]), what)
-    yield Text(f"{report.scenario.name}: ") + verdict
-    if verbose or loud:
-        yield findings_table(report if verbose else loud[:_MOST_FINDINGS], brief=not verbose)
-    if not verbose and len(loud) > _MOST_FINDINGS:
-        yield Text(f"{len(loud) - _MOST_FINDINGS} more of them: -v")
-    plan = Table.grid(padding=(0, 2, 0, 0))
-    for label, text in report.plan.items():
-        plan.add_row(label, Text(text))
-    yield plan
-    if not verbose and len(report) > len(loud):
-        yield Text(f"{len(report) - len(loud)} findings need no change: -v", style="dim")
 
 
 def deadline_table(verdict: Verdict) -> Table:

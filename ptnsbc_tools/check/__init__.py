@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check import gains, geometry, mission
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 
-__all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
+if TYPE_CHECKING:
+    from ptnsbc_sim.sweep.dry_run import DryRun
+
+__all__ = ["ERROR", "INFO", "WARNING", "CheckError", "CheckReport", "Finding", "check"]
 
 _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     *(geometry.graph, geometry.shape, geometry.spacing, geometry.moving_spacing),
@@ -26,9 +31,35 @@ def check(scenario: Scenario) -> list[Finding]:
     return sorted(findings, key=lambda finding: rank[finding.severity])
 
 
-def refuse(scenario: Scenario, findings: Sequence[Finding]) -> None:
-    """Raise CheckError, in one line, when any finding is an error."""
-    errors = [finding for finding in findings if finding.severity == ERROR]
-    if errors:
-        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        raise CheckError(f"{scenario.source}: {errors[0]}{more}")
+@dataclass(frozen=True)
+class CheckReport:
+    """The findings of the pre-flight check, errors first."""
+
+    scenario: Scenario = field(repr=False)
+    findings: tuple[Finding, ...]
+    flown: DryRun | None = field(default=None, repr=False)
+
+    @property
+    def ok(self) -> bool:
+        """True if nothing that was found is an error."""
+        return all(finding.severity != ERROR for finding in self.findings)
+
+    @property
+    def plan(self) -> dict[str, str]:
+        """The plan in a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
+        from ptnsbc_tools.check.dry_run import plan
+
+        return plan(self.scenario, self.findings, self.flown)
+
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(self.findings)
+
+    def __len__(self) -> int:
+        return len(self.findings)
+
+    def refuse(self) -> None:
+        """Raise CheckError, in one line, when a finding is an error."""
+        errors = [finding for finding in self.findings if finding.severity == ERROR]
+        if errors:
+            more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+            raise CheckError(f"{self.scenario.source}: {errors[0]}{more}")

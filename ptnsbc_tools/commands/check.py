@@ -50,8 +50,8 @@ def check(
     The scenario is refused when the first of them is not met, or fewer than half of all; with noise, gusts, faults
     or lossy links, fewer than 95 % of all.
     """
+    from ptnsbc_tools.check.overview import check_report
     from ptnsbc_tools.library import flying
-    from ptnsbc_tools.tables import check_report
 
     chosen = choices.of(scenario)
     if backend == "mavlink":

@@ -214,10 +214,11 @@ def fly_and_judge(
 
 def _refuse_dry_runs(scenario: Scenario) -> None:
     """Fly the dry runs of a scenario; CheckError when they refuse it."""
-    from ptnsbc_tools.check import refuse
+    from ptnsbc_tools.check import CheckReport
     from ptnsbc_tools.check.dry_run import flown
 
-    refuse(scenario, flown(scenario)[1])
+    done, findings = flown(scenario)
+    CheckReport(scenario, tuple(findings), done).refuse()
 
 
 def _objection(scenario: Scenario) -> str:

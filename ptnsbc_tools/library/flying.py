@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
@@ -16,15 +16,12 @@ from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_tools import console, ros
-from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
+from ptnsbc_tools.check import ERROR, WARNING, CheckReport
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.reading.bag_reader import read_status
-
-if TYPE_CHECKING:
-    from ptnsbc_sim.sweep.dry_run import DryRun
 
 
 class FlightFailedError(PtnsbcError):
@@ -53,37 +50,6 @@ def load(scenario: ScenarioLike, /, **keys: Any) -> Scenario:
     return scenario_from_text(
         reader.dump(reader.plain(scenario)), given, source="mapping", folder=Path.cwd()
     )
-
-
-@dataclass(frozen=True)
-class CheckReport:
-    """The findings of the pre-flight check, errors first."""
-
-    scenario: Scenario = field(repr=False)
-    findings: tuple[Finding, ...]
-    flown: DryRun | None = field(default=None, repr=False)
-
-    @property
-    def ok(self) -> bool:
-        """True if nothing that was found is an error."""
-        return all(finding.severity != ERROR for finding in self.findings)
-
-    @property
-    def plan(self) -> dict[str, str]:
-        """The plan in a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
-        from ptnsbc_tools.check.dry_run import plan
-
-        return plan(self.scenario, self.findings, self.flown)
-
-    def __iter__(self) -> Iterator[Finding]:
-        return iter(self.findings)
-
-    def __len__(self) -> int:
-        return len(self.findings)
-
-    def refuse(self) -> None:
-        """Raise CheckError, in one line, when a finding is an error."""
-        refuse(self.scenario, self.findings)
 
 
 def check(

@@ -16,7 +16,7 @@ SHOWN = (
     ("ptnsbc_sim.verdict.verdict", "Verdict"),
     ("ptnsbc_sim.scenario.scenario", "Scenario"),
     ("ptnsbc_tools.library.flight", "Flight"),
-    ("ptnsbc_tools.library.flying", "CheckReport"),
+    ("ptnsbc_tools.check", "CheckReport"),
     ("ptnsbc_tools.library.sweeping", "Sweep"),
     ("ptnsbc_tools.sweeps.comparison", "SweepComparison"),
 )
@@ -36,6 +36,7 @@ def html(result: Any) -> str:
 def _parts(result: Any) -> Iterable[Any]:
     """The tables and lines that the command line prints of a result."""
     from ptnsbc_tools import tables
+    from ptnsbc_tools.check import overview
     from ptnsbc_tools.sweeps import comparison, summary
 
     match type(result).__name__:
@@ -49,7 +50,7 @@ def _parts(result: Any) -> Iterable[Any]:
                 return [f"{result.scenario.name}: no verdict: {error}"]
             return [tables.deadline_table(verdict), tables.verdict_line(verdict)]
         case "CheckReport":
-            return tables.check_report(result, verbose=True)
+            return overview.check_report(result, verbose=True)
         case "Sweep":
             return [*summary.tables(result.flown), summary.line(result.flown)]
         case "SweepComparison":

@@ -9,7 +9,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.recording import recording_of
-from ptnsbc_tools.check import CheckError, Finding, check, geometry, refuse
+from ptnsbc_tools.check import CheckError, CheckReport, Finding, check, geometry
 from ptnsbc_tools.check.gains import leader_error_std_m
 
 
@@ -30,7 +30,7 @@ def errors(**changes: Any) -> list[Finding]:
 def test_shipped_scenarios_pass(name: str, plant: str, task: str) -> None:
     scenario = load_scenario(name, {"plant.kind": plant, "formation.task": task})
     findings = check(scenario)
-    refuse(scenario, findings)
+    CheckReport(scenario, tuple(findings)).refuse()
     assert all(finding.severity == "info" for finding in findings)
 
 
@@ -162,7 +162,7 @@ def test_encounters_without_avoidance_are_a_warning() -> None:
 def test_refusal_is_one_line_with_key_and_way_out() -> None:
     scenario = load_scenario("paper_5", {"gains.filter.max_speed_m_s": 3})
     with pytest.raises(CheckError) as caught:
-        refuse(scenario, check(scenario))
+        CheckReport(scenario, tuple(check(scenario))).refuse()
     message = str(caught.value)
     assert "\n" not in message
     assert "paper_5.yaml: gains.formation.deadline_s: 5 s" in message
