@@ -13,12 +13,12 @@ STATUS_HZ = 5
 """Rate at which nodes publish their status."""
 
 _COUNTED = {
-    "avoidance_active_s": columns.ACTIVE_ROWS,
-    "saturated_s": columns.SATURATED,
-    "holding_s": columns.HOLDING,
-    "deadlock_s": columns.DEADLOCK,
+    "avoidance_active_s": ("active_rows", columns.ACTIVE_ROWS),
+    "saturated_s": ("saturated", columns.SATURATED),
+    "holding_s": ("holding", columns.HOLDING),
+    "deadlock_s": ("deadlock", columns.DEADLOCK),
 }
-"""Counters of a time, and the column of the diagnostics that is above 0 during it."""
+"""Counters of a time, and the field and the column of the diagnostics that are above 0 during it."""
 
 COUNTERS = (
     "avoidance_active_s",
@@ -52,10 +52,8 @@ class UavCounters:
         """Count one step that lasted `dt` [s]."""
         counted = self._counted
         counted["ticks"] += 1.0
-        counted["avoidance_active_s"] += dt * (step.active_rows > 0)
-        counted["saturated_s"] += dt * step.saturated
-        counted["holding_s"] += dt * step.holding
-        counted["deadlock_s"] += dt * step.deadlock
+        for name, (field, _) in _COUNTED.items():
+            counted[name] += dt * (getattr(step, field) > 0)
         worst = "priority_violation_max"  # [m/s]
         counted[worst] = max(counted[worst], step.priority_violation)
         self._newest = step
@@ -107,7 +105,9 @@ def counters_of(diagnostics: Array, scenario: Scenario) -> Array:
         scenario: as flown.
     """
     every = status_every(scenario)
-    ticks = np.cumsum(diagnostics[:, :, list(_COUNTED.values())] > 0, axis=0)[::every]
+    ticks = np.cumsum(diagnostics[:, :, [column for _, column in _COUNTED.values()]] > 0, axis=0)[
+        ::every
+    ]
     values = np.zeros((*ticks.shape[:2], len(COUNTERS)))
     times = np.round(ticks * seconds(scenario.timing.dt_ns), 3)
     values[:, :, [COUNTERS.index(name) for name in _COUNTED]] = times

@@ -56,7 +56,12 @@ def unit_of(key: str) -> str | None:
     return None
 
 
-def _plain(unit: str) -> str:
+def number_in(unit: str | None) -> str:
+    """The expectation of a number in a unit."""
+    return "a number" if unit is None else f'a number in {unit}, or text such as "1.5 {unit}"'
+
+
+def _spelling(unit: str) -> str:
     """Spellings of one unit made equal: `m/s²`, `m/s2`, `m / s^2`."""
     return re.sub(r"[\s*·^]", "", unit.replace("²", "2")).lower()
 
@@ -70,13 +75,13 @@ def _number(value: Any, unit: str, below: tuple[str | int, ...]) -> Any:
     if not isinstance(value, str):
         return value
     match = _QUANTITY.fullmatch(value)
-    if match and _plain(match[2]) == _plain(unit):
+    if match and _spelling(match[2]) == _spelling(unit):
         number = float(match[1])
         return int(number) if number.is_integer() else number
     if match:
         expected = f'the unit {unit}, as in "{match[1]} {unit}", or the number alone'
     else:
-        expected = f'a number in {unit}, or text such as "1.5 {unit}"'
+        expected = number_in(unit)
     raise PydanticCustomError(
         "quantity", "expected {expected}", {"below": below, "value": value, "expected": expected}
     )

@@ -190,7 +190,7 @@ class AutoTree(dict[int, int]):
     """A tree that is left to us, empty until it is known."""
 
 
-Tree = Annotated[
+Parents = Annotated[
     dict[UavId, UavId],
     WrapValidator(lambda value, check: AutoTree() if value == AUTO else check(value)),
 ]
@@ -199,7 +199,7 @@ Tree = Annotated[
 class Communication(Block):
     """The communication graph of the formation."""
 
-    tree: Tree
+    tree: Parents
     """`child: parent`, a tree rooted at the leader. `auto` proposes one for the shape: short edges over which the
     task is well conditioned, at most three hops deep."""
     parents: dict[UavId, dict[UavId, Positive]] | None = None

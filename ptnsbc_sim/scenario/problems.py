@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario.fields import unit_of
+from ptnsbc_sim.scenario.fields import number_in, unit_of
 
 Tree = dict[Any, Any]
 """A scenario file as YAML has it, before it is validated."""
@@ -111,11 +111,6 @@ def _place_of(location: tuple[str | int, ...], tree: object) -> tuple[str, str, 
     return text, names[min(1, len(names) - 1)], names[-1]
 
 
-def _unit_text(key: str) -> str:
-    unit = unit_of(key)
-    return "a number" if unit is None else f'a number in {unit}, or text such as "1.5 {unit}"'
-
-
 def _expectation(kind: str, first: str, last: str, detail: ErrorDetails) -> str:
     context = detail.get("ctx", {})
     if kind == "string_pattern_mismatch":
@@ -127,7 +122,7 @@ def _expectation(kind: str, first: str, last: str, detail: ErrorDetails) -> str:
     if kind in _TYPES:
         return f"expected {_TYPES[kind]}"
     if kind in ("float_type", "float_parsing"):
-        return f"expected {_unit_text(last)}"
+        return f"expected {number_in(unit_of(last))}"
     if kind in ("literal_error", "union_tag_invalid"):
         names = str(context.get("expected", context.get("expected_tags", "")))
         words = [word.strip(" '") for word in names.replace(" or ", ",").split(",")]
@@ -140,7 +135,7 @@ def _line(detail: ErrorDetails, tree: object) -> str:
     context = detail.get("ctx", {})
     where, first, last = _place_of((*detail["loc"], *context.get("below", ())), tree)
     if kind == "missing":
-        what = _unit_text(last) if unit_of(last) else "this key"
+        what = number_in(unit_of(last)) if unit_of(last) else "this key"
         return f"{where}: missing: expected {what}"
     if kind == "union_tag_not_found":
         return f"{where}.kind: missing: expected this key"

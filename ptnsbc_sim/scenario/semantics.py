@@ -13,7 +13,7 @@ from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire import MOST_NEAR_OBJECTS
-from ptnsbc_sim.scenario.fields import AUTO
+from ptnsbc_sim.scenario.fields import AUTO, number_in
 from ptnsbc_sim.scenario.gains import Gains, Loop
 from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.mission.legs import (
@@ -159,8 +159,7 @@ def _deadlines(file: ScenarioFile) -> Problems:
     for key in Gains.model_fields:
         loop = getattr(file.gains, key)
         known = not isinstance(loop, Loop) or math.isfinite(loop.deadline_s)
-        expected = 'a number in s, or text such as "1.5 s"'
-        yield from unless(known, f"gains.{key}.deadline_s", f'"{AUTO}"', expected)
+        yield from unless(known, f"gains.{key}.deadline_s", f'"{AUTO}"', number_in("s"))
 
 
 def _obstacles(file: ScenarioFile) -> Problems:

@@ -185,12 +185,8 @@ def starts_of(file: ScenarioFile) -> EpochPlaces:
 def start_errors(file: ScenarioFile, starts: EpochPlaces | None = None) -> dict[int, float]:
     """Distance [m] of every UAV from its place, from the starts of the file or other ones."""
     starts = starts or starts_of(file)
-    offsets, path = _offsets_at(file, starts.begin_s), file.leader.trajectory
-    if not starts.begin_s and isinstance(path, Circle) and path.heading == "fixed":
-        along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
-        first = np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
-    else:
-        first = np.array(reference(trajectory_of(path), starts.begin_s).position)
+    offsets, curve = _offsets_at(file, starts.begin_s), trajectory_of(file.leader.trajectory)
+    first = np.array(reference(curve, starts.begin_s).position)
     return {
         uav: float(np.linalg.norm(first + offsets[starts.slots[uav]] - position))
         for uav, position in starts.positions_m.items()
@@ -236,7 +232,7 @@ def turn_of(file: ScenarioFile) -> float:
     if min(limits) <= 0.0:
         return 0.0
     for turn in turns:
-        if _RESERVE * max(_bounds(file, limits, turn).values()) <= deadline_s:
+        if _RESERVE * max(_bounds(file, starts_of(file), limits, turn).values()) <= deadline_s:
             return turn
     return 0.0
 
@@ -244,15 +240,14 @@ def turn_of(file: ScenarioFile) -> float:
 def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, float]:
     """Shortest deadline [s] for each UAV, with what a mission leaves of the limits, both above 0."""
     starts, turn = starts_of(file), turn_of(file)
-    bounds = _bounds(file, limits, turn)
+    bounds = _bounds(file, starts, limits, turn)
     return {uav: shortest_below(file, starts, uav, bound, turn) for uav, bound in bounds.items()}
 
 
 def longest_need(file: ScenarioFile, limits: MotionLimits, turn: float | None = None) -> Need:
     """The UAV whose shortest deadline is the longest, the first by number; as `shortest_deadlines`, for less work."""
-    turn = turn_of(file) if turn is None else turn
-    starts, bounds = starts_of(file), _bounds(file, limits, turn)
-    longest = Need(0, -math.inf)
+    turn, starts = turn_of(file) if turn is None else turn, starts_of(file)
+    bounds, longest = _bounds(file, starts, limits, turn), Need(0, -math.inf)
     for uav in sorted(bounds, key=lambda one: (-bounds[one], one)):
         if bounds[uav] < longest.deadline_s:  # nor does any that follows need more than its bound
             break
@@ -266,31 +261,27 @@ def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | 
     limits, turn = limits_left(file), turn_of(file)
     if min(limits) <= 0.0:
         return None
-    bound = _bound(file, limits, turn, start_errors(file, starts)[uav], starts.slots[uav])
+    bound = _bounds(file, starts, limits, turn)[uav]
     return shortest_below(file, starts, uav, bound, turn)
 
 
-def _bounds(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
-    slots = starts_of(file).slots
-    errors = start_errors(file)
-    return {uav: _bound(file, limits, turn, errors[uav], slots[uav]) for uav in errors}
-
-
-def _bound(
-    file: ScenarioFile, limits: MotionLimits, turn: float, error_m: float, slot: int
-) -> float:
-    straight = feasible_deadline(error_m, limits.speed_m_s, limits.acceleration_m_s2)
-    if file.formation.approach == "task" or slot == file.leader.id:
-        return straight
-    need = straight
-    if turn != 0.0:
-        peaks = approach_peaks(turn)
-        accelerating_s = math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2)
-        need = max(peaks.speed * error_m / limits.speed_m_s, accelerating_s)
-    # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
-    gain = gain_of(file.gains, file.gains.formation)
+def _bounds(
+    file: ScenarioFile, starts: EpochPlaces, limits: MotionLimits, turn: float
+) -> dict[int, float]:
+    """A deadline [s] for each UAV that its planned approach keeps beside the leader's motion, in closed form."""
+    gain, peaks = gain_of(file.gains, file.gains.formation), approach_peaks(turn)
     settling = 1.0 / max(gain.scale * gain.kappa, 1e-9)
-    return min(need + settling, need / 0.8)
+    bounds = {}
+    for uav, error_m in start_errors(file, starts).items():
+        need = feasible_deadline(error_m, limits.speed_m_s, limits.acceleration_m_s2)
+        if file.formation.approach == "planned" and starts.slots[uav] != file.leader.id:
+            if turn != 0.0:
+                accelerating_s = math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2)
+                need = max(peaks.speed * error_m / limits.speed_m_s, accelerating_s)
+            # It ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
+            need = min(need + settling, need / 0.8)
+        bounds[uav] = need
+    return bounds
 
 
 def auto_deadline(file: ScenarioFile, source: str) -> float:
