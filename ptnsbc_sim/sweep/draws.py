@@ -119,46 +119,38 @@ def parse_starts(text: str) -> Starts:
 
 
 @dataclass(frozen=True)
-class Spheres:
+class Spacing:
     """The distances that a start must keep."""
 
-    centres: Array  # (O, 3) [m]
-    radii: Array  # (O,) [m]
-    apart_m: float  # from every other UAV
-    # that are no spheres, and the distances from them [m]
-    bodies: tuple[tuple[Obstacle, float], ...] = ()
+    uavs_m: float  # from every other UAV
+    bodies: tuple[tuple[Obstacle, float], ...] = ()  # from each body [m]
 
 
-def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
-    if any(np.linalg.norm(place - other) < spheres.apart_m for other in others):
-        return False
-    if not (np.linalg.norm(spheres.centres - place, axis=1) >= spheres.radii).all():
+def _is_clear(place: Array, others: Sequence[Array], spacing: Spacing) -> bool:
+    if any(np.linalg.norm(place - other) < spacing.uavs_m for other in others):
         return False
     at = place[None], np.zeros(1)
-    return all(body.distances(*at)[0] >= least for body, least in spheres.bodies)
+    return all(body.distances(*at)[0] >= least_m for body, least_m in spacing.bodies)
 
 
-def spheres_of(file: ScenarioFile, bodies: Sequence[Obstacle]) -> Spheres:
+def spacing_of(file: ScenarioFile, bodies: Sequence[Obstacle]) -> Spacing:
     """The distances that the starts of a scenario must keep, with these bodies in its world."""
     margin_m = float(file.gains.clearance.margin_m)
-    spheres = [body for body in bodies if body.kind == "sphere"]
-    return Spheres(
-        np.array([body.position for body in spheres], dtype=np.float64).reshape(-1, 3),
-        np.array([body.keep_out_m + margin_m for body in spheres], dtype=np.float64),
+    return Spacing(
         max(file.formation.uav_keep_out_m, *map(file.keep_out_m, file.uav_ids)) + margin_m,
-        tuple((body, body.keep_out_m + margin_m) for body in bodies if body.kind != "sphere"),
+        tuple((body, body.keep_out_m + margin_m) for body in bodies),
     )
 
 
 def drawn_places(
     positions: Sequence[Sequence[float]] | Array,
     starts: Starts,
-    spheres: Spheres,
+    spacing: Spacing,
     rng: np.random.Generator,
 ) -> list[Array]:
     """The starts (3,) [m] of all UAVs, whose positions in the file are given; not for `file`.
 
-    Each is clear of the spheres and of the starts before it.
+    Each is clear of the bodies and of the starts before it.
     """
     centres = [np.array(place, dtype=np.float64) for place in positions]
     spread = np.full(3, starts.numbers[0])
@@ -173,12 +165,12 @@ def drawn_places(
             near = starts.kind == NEAR
             share = rng.standard_normal(3) if near else rng.uniform(-1.0, 1.0, 3)
             place = centre + spread * share
-            if _clear(place, places, spheres):
+            if _is_clear(place, places, spacing):
                 places.append(place)
                 break
         else:
             raise SweepError(
                 f"starts: no room for UAV number {number + 1} of {len(centres)} after {_MOST_TRIES} "
-                f"tries: expected {spheres.apart_m:g} m between UAVs; draw from a larger region"
+                f"tries: expected {spacing.uavs_m:g} m between UAVs; draw from a larger region"
             )
     return places

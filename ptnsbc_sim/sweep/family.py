@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +24,7 @@ from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
-from ptnsbc_sim.sweep.draws import BOX, NEAR, Spheres, Starts, drawn_places, spheres_of
+from ptnsbc_sim.sweep.draws import BOX, NEAR, Spacing, Starts, drawn_places, spacing_of
 
 # A range is [low, high]; a number alone is that number in every draw.
 Range = Annotated[
@@ -252,7 +251,7 @@ def _path(path: FamilyPath, rng: np.random.Generator) -> tuple[dict[str, Any], d
 
 
 def _starts(
-    starts: FamilyStarts, goals: Array, spheres: Spheres, rng: np.random.Generator
+    starts: FamilyStarts, goals: Array, spacing: Spacing, rng: np.random.Generator
 ) -> list[Array]:
     rule = Starts(NEAR, (_number(starts.sigma_m, rng),))
     if starts.kind == "box":
@@ -264,7 +263,7 @@ def _starts(
         places[cycle] = goals[np.roll(cycle, 1)]
     if starts.kind == "opposite":
         places = 2.0 * goals[0] - goals
-    return drawn_places(places, rule, spheres, rng)
+    return drawn_places(places, rule, spacing, rng)
 
 
 def _obstacles(
@@ -318,12 +317,12 @@ def draw_family(
     world = dict(tree.get("world") or {})
     world["obstacles"] = []
     tree["world"] = world
-    spheres = spheres_of(base, ())
-    apart = replace(spheres, apart_m=max(spheres.apart_m, family.starts.apart_m))
+    least_m = spacing_of(base, ()).uavs_m
+    apart = Spacing(max(least_m, family.starts.apart_m))
     starts = _starts(family.starts, goals, apart, generator("family starts"))
     places = np.array(starts)
     if family.obstacles is not None:
-        room = margin_m + spheres.apart_m
+        room = margin_m + least_m
         rng = generator("family obstacles")
         world["obstacles"] = _obstacles(family.obstacles, places, goals, room, rng)
     # Attitudes and disturbances are those of the base scenario's UAVs, over and over.

@@ -29,12 +29,12 @@ from ptnsbc_sim.scenario.scenario import scenario_of, validated
 from ptnsbc_sim.sweep.draws import (
     FILE,
     FROM_FILE,
-    Spheres,
+    Spacing,
     Starts,
     SweepAxis,
     SweepError,
     drawn_places,
-    spheres_of,
+    spacing_of,
 )
 from ptnsbc_sim.sweep.family import draw_family, family_from_text
 
@@ -186,8 +186,8 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     file = validated(tree, _source(plan, k))
     if plan.starts.kind != FILE:
         given = [uav.position_m for uav in file.uavs]
-        spheres = spheres_of(file, file.world.bodies)
-        places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
+        spacing = spacing_of(file, file.world.bodies)
+        places = drawn_places(given, plan.starts, spacing, generator(plan, k, "starts"))
         for uav, place in zip(tree["uavs"], places, strict=True):
             uav["position_m"] = place.tolist()
     if plan.stop_after_s is not None:
@@ -234,14 +234,14 @@ def _base_scenario(text: str, source: str) -> Scenario:
 
 
 @lru_cache(maxsize=4)
-def _common(text: str, source: str, stop_after_s: float | None) -> tuple[Scenario, Spheres]:
-    """The scenario of draws that differ in starts and seed only, and the spheres of which starts must be clear."""
-    scenario = scenario_from_text(text, source=source)
+def _common(text: str, source: str, stop_after_s: float | None) -> tuple[Scenario, Spacing]:
+    """The scenario of draws that differ in starts and seed only, and the distances that starts must keep."""
+    scenario = _base_scenario(text, source)
     if stop_after_s is not None:
         stop_s = min(scenario.timing.duration_s, float(stop_after_s))
         scenario = scenario_from_text(text, {"timing.duration_s": stop_s}, source=source)
-    spheres = spheres_of(scenario, scenario.world.bodies)
-    return scenario.model_copy(update={"text": ""}), spheres
+    spacing = spacing_of(scenario, scenario.world.bodies)
+    return scenario.model_copy(update={"text": ""}), spacing
 
 
 def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
@@ -252,7 +252,7 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
     """
     source = _source(plan, k)
     try:
-        base, spheres = _common(plan.scenario, plan.source, plan.stop_after_s)
+        base, spacing = _common(plan.scenario, plan.source, plan.stop_after_s)
     except PtnsbcError:
         return None  # whoever validates the draw names it in the message
     seed = int(generator(plan, k, "seed").integers(2**32))
@@ -261,7 +261,7 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
         if takes_off(base.mission):
             return None
         given = [uav.position_m for uav in base.uavs]
-        places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
+        places = drawn_places(given, plan.starts, spacing, generator(plan, k, "starts"))
         if not np.isfinite(places).all():
             return None
         update["uavs"] = tuple(
