@@ -50,9 +50,11 @@ HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
 
 
 def scenario(kind="px4", setpoint="velocity", duration_s=12.0, **overrides):
-    """`experiment_4` for stand-ins of one kind."""
+    """`experiment_4` for stand-ins of one kind, four metres lower: soon up, and soon down again."""
     changes = {
         "timing.duration_s": duration_s,
+        "leader.trajectory.centre_m": [0, 0, 4],
+        "mavlink.takeoff_height_m": 2.0,
         "mavlink.autopilot": AUTOPILOTS[kind],
         "mavlink.setpoint": setpoint,
         **overrides,

@@ -85,16 +85,10 @@ MISSION = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "setpoint"),
-    [
-        ("px4", "velocity"),
-        ("arducopter", "attitude"),
-        ("stm32", "attitude"),
-    ],
-)
-def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
-    fleet = MavlinkFleet(scenario(kind, setpoint), kind, gnss="perfect", spread_m=30.0)
+def test_four_vehicles_take_off_form_by_the_deadline_and_land():
+    """By attitude targets; by velocities the flights below, and bare motors in test_attitude_targets.py."""
+    kind = "arducopter"
+    fleet = MavlinkFleet(scenario(kind, "attitude"), kind, gnss="perfect", spread_m=30.0)
     fleet.set_parameter("GUID_OPTIONS", 8)
     fleet.airborne().form().run(12.6).land()
     assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 4, fleet.report()
@@ -128,7 +122,7 @@ def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
     """
     # From V to line the place of UAV 4 moves at more than 1 m/s beside the leader: nobody runs away.
     made = load_scenario("take_off_4", {**MISSION, "mavlink.abort.away_m_s": 1.0}).bridged()
-    fleet = MavlinkFleet(made, "px4", gnss="perfect")
+    fleet = MavlinkFleet(made, "px4", gnss="perfect", spread_m=30.0)
     fleet.airborne().form()
     fleet.run(
         made.timing.duration_s,
@@ -139,6 +133,7 @@ def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
     assert [(leg.kind, leg.verdict) for leg in found.mission[:6]] == [
         (kind, "met") for kind in ("take_off", "form", "change", "go_to", "split", "join")
     ]
+    assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 4, fleet.report()
     assert not any(uav.vehicle.armed for uav in fleet.uavs.values())  # down before land is due
     assert min(pair.distance_m for pair in found.separations) > 0.5
     (ball,) = made.world.bodies
@@ -320,9 +315,9 @@ STREAM = {
     "communication.tree": {2: 1, 3: 1, 4: 1},
     "leader.trajectory": {
         "kind": "stream",
-        "position_m": [0, 0, 7],
-        "low_m": [-6, -6, 3],
-        "high_m": [6, 6, 10],
+        "position_m": [0, 0, 3],
+        "low_m": [-6, -6, 1],
+        "high_m": [6, 6, 6],
         "speed_m_s": 1.5,
         "acceleration_m_s2": 1.2,
         "silent_s": 1.0,
@@ -338,7 +333,7 @@ def test_a_stream_of_setpoints_is_followed_and_ends_in_a_hover():
     began, speed = fleet.now_s, np.array([0.6, 0.3, 0.1])
 
     def asked():
-        return np.array([0.0, 0.0, 7.0]) + (fleet.now_s - began) * speed
+        return np.array([0.0, 0.0, 3.0]) + (fleet.now_s - began) * speed
 
     while fleet.now_s - began < 8.0:
         odometry = np.zeros(13)

@@ -18,7 +18,6 @@ pytestmark = [
 # State and wrench of a simulated vehicle travel too, which a real one keeps on board: with a fifth of them lost the
 # attitude loop of the quadrotor has little to spare (docs/fleet.md), the paper's plant has.
 PLANT = ("--plant", "rigid_body_6dof")
-FIVE = ("paper_5", *PLANT)
 THREE = (str(Path(__file__).resolve().parents[3] / "examples" / "three.yaml"), *PLANT)
 
 
@@ -67,20 +66,20 @@ def test_through_a_discovery_server_every_flight_begins(domain, tmp_path):
     with namespaces.computers(3, 20) as (ground, second, third):
         file = profile(ground, tmp_path, "server", ground.address)
         server = ground.ptnsbc("network", "serve", ground.address)
-        parts = [(second, "2,3"), (third, "4,5"), (ground, "recorder,sim,1")]
-        ends = fly(FIVE, parts, domain, "--duration", 2, "--network", file)
+        parts = [(second, "2"), (third, "3"), (ground, "recorder,sim,1")]
+        ends = fly(THREE, parts, domain, "--duration", 2, "--network", file)
         server.send_signal(signal.SIGINT)
         namespaces.finished(server)
     codes, told = [end[0] for end in ends], [json.loads(end[1]) for end in ends]
     assert codes == [0, 0, 1], ends  # two seconds are too short for the deadline
     assert [one["fleet"]["died"] for one in told] == [[], [], []]
-    assert len(told[-1]["uavs"]) == 5
+    assert len(told[-1]["uavs"]) == 3
 
 
 def test_nothing_leaves_the_host_unless_told(tmp_path, domain):
     """The cable is the way to everywhere, multicast too; with a profile the same flight uses it."""
     with namespaces.computers() as (alone, other):
-        flight = ("fleet", *FIVE, "--json", "--domain", domain, "--lockstep", "--duration", 1)
+        flight = ("fleet", *THREE, "--json", "--domain", domain, "--lockstep", "--duration", 1)
         namespaces.finished(alone.ptnsbc(*flight))
         namespaces.finished(alone.ptnsbc("stop", "--domain", domain))
         assert alone.packets_sent() == 0

@@ -20,6 +20,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 from ptnsbc_sim.swarm import fly
 
+THREE = Path(__file__).parents[3] / "examples" / "three.yaml"
 WAITS = "import signal\nprint('running', flush=True)\nsignal.pause()\n"
 WRITES = """
 import sys, time
@@ -177,15 +178,15 @@ def test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does(tmp_pa
         {"kind": "loss", "uav": 3, "at_s": 0.1, "share": 0.5},
         {"kind": "delay", "uav": 1, "at_s": 0.2, "delay_s": 0.1, "duration_s": 0.5},
         {"kind": "nan", "uav": 2, "at_s": 1, "duration_s": 0.2},
-        {"kind": "jump", "uav": 4, "at_s": 0.5, "duration_s": 0.5, "offset_m": [0.3, 0, 0]},
-        {"kind": "kill", "uav": 5, "at_s": 1},
+        {"kind": "jump", "uav": 3, "at_s": 0.5, "duration_s": 0.5, "offset_m": [0.3, 0, 0]},
+        {"kind": "kill", "uav": 3, "at_s": 1},
     ]
-    scenario = load_scenario("paper_5", {"faults": faults, "timing.duration_s": 1.5})
+    scenario = load_scenario(THREE, {"faults": faults, "timing.duration_s": 1.5})
     done = run_fleet(FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag"))
-    assert (done.exit_code, done.died, done.killed) == (0, (), ("uav5",))
+    assert (done.exit_code, done.died, done.killed) == (0, (), ("uav3",))
     track, bag = fly(scenario).track, read_bag(tmp_path / "bag")
     for row, uav in enumerate(scenario.uav_ids):
-        ends = 100 if uav == 5 else scenario.timing.ticks
+        ends = 100 if uav == 3 else scenario.timing.ticks
         assert_recorded(bag, uav, "odom", track.odometry[:, row])
         assert_recorded(bag, uav, "truth", track.truth[:, row])
         assert_recorded(bag, uav, "setpoint/wrench", track.wrench[:ends, row])

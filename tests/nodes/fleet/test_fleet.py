@@ -26,25 +26,12 @@ from ptnsbc_tools.replay.rerun import rerun
 pytestmark = pytest.mark.ros
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
-PLUGINS = Path(__file__).parents[3] / "examples" / "plugins"
+EXAMPLES = Path(__file__).parents[3] / "examples"
+THREE = EXAMPLES / "three.yaml"
 
 
 def counts(bag):
     return {name: topic.messages for name, topic in bag.topics.items()}
-
-
-@pytest.mark.slow
-def test_lockstep_flights_have_the_bytes_of_each_other(launch, tmp_path):
-    for name in ("a", "b"):
-        words = "--duration", "1", "--processes", "2", "--bag", str(tmp_path / name / "bag")
-        flight = launch(*words)
-        assert flight.finish() == 0, flight.lines
-        assert not flight.running()
-    files = sorted(path.name for path in (tmp_path / "a" / "bag").iterdir())
-    assert files == ["bag_0.mcap", "metadata.yaml"]
-    for file in files:
-        first, second = (tmp_path / name / "bag" / file for name in ("a", "b"))
-        assert first.read_bytes() == second.read_bytes(), file
 
 
 def test_a_lockstep_flight_has_the_bytes_of_the_headless_one(launch, tmp_path):
@@ -82,7 +69,8 @@ def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_
     """The landing begins between two ticks."""
     (tmp_path / "short.yaml").write_text(MISSION)
     scenario = load_scenario(tmp_path / "short.yaml")
-    flight = launch("--scenario", str(tmp_path / "short.yaml"), "--bag", str(tmp_path / "bag"))
+    words = ("--scenario", str(tmp_path / "short.yaml"), "--processes", "2")
+    flight = launch(*words, "--bag", str(tmp_path / "bag"))
     assert flight.finish() == 0, flight.lines
     bag = read_bag(tmp_path / "bag")
     assert counts(bag)["/clock"] == scenario.timing.ticks
@@ -99,7 +87,8 @@ def test_processes_with_several_parents_have_the_bytes_of_the_headless_flight(tm
         "timing.duration_s": 1.0,
     }
     scenario = load_scenario("paper_5", changes)
-    assert run_fleet(FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag")).exit_code == 0
+    options = FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag", processes=2)
+    assert run_fleet(options).exit_code == 0
     bag = read_bag(tmp_path / "bag")
     assert_as_headless(bag, scenario)
     carried = scenario_from_text(bag.attachment("scenario.yaml").decode())
@@ -214,23 +203,30 @@ def composed(scenario, folder, processes):
 
 
 @pytest.mark.slow
-def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path):
+def test_lockstep_flights_have_the_bytes_of_each_other(tmp_path):
+    """Whether UAVs share a process or not; by the same processes the files are equal too."""
     scenario = load_scenario("paper_5", {"timing.duration_s": 1})
-    flown, alone = composed(scenario, tmp_path / "alone", None)
-    shared_flown, shared = composed(scenario, tmp_path / "shared", 2)
-    assert flown.exit_code == shared_flown.exit_code == 0
-    assert [p.name for p in shared_flown.processes] == ["recorder", "uav1-2", "uav3-5", "sim"]
+    alone_flown, alone = composed(scenario, tmp_path / "alone", None)
+    flown, shared = composed(scenario, tmp_path / "shared", 2)
+    again_flown, _ = composed(scenario, tmp_path / "again", 2)
+    assert alone_flown.exit_code == flown.exit_code == again_flown.exit_code == 0
+    assert [p.name for p in flown.processes] == ["recorder", "uav1-2", "uav3-5", "sim"]
     assert len(alone["/uav5/setpoint/wrench"]) == scenario.timing.ticks
     assert shared.keys() == alone.keys()
     for name, messages in alone.items():
         assert shared[name] == messages, name
+    files = sorted(path.name for path in (tmp_path / "shared" / "bag").iterdir())
+    assert files == ["bag_0.mcap", "metadata.yaml"]
+    for file in files:
+        first, second = (tmp_path / name / "bag" / file for name in ("shared", "again"))
+        assert first.read_bytes() == second.read_bytes(), file
 
 
 @pytest.mark.slow
 @pytest.mark.alone
 def test_functions_of_the_user_fly_in_real_time_to_their_deadline_and_run_again(tmp_path):
     """Task, controller, plant, disturbance and sensor at once, by the wall clock."""
-    scenario = load_scenario(PLUGINS / "all.yaml")
+    scenario = load_scenario(EXAMPLES / "plugins" / "all.yaml")
     bag = tmp_path / "bag"
     flown = run_fleet(FleetOptions(scenario, bag=bag, log_dir=tmp_path / "logs", processes=2))
     assert (flown.died, flown.exit_code) == ((), 0)
@@ -284,7 +280,7 @@ def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
 
 FAILING_LAW = """
 def law(inputs):
-    if inputs.t > 0.5 and inputs.offset[0] > 1.0:
+    if inputs.t > 0.5 and inputs.offset[1] > 0.0:
         raise ValueError("no way out")
     return (0.0, 0.0, 0.0)
 """
@@ -295,18 +291,18 @@ def test_a_law_that_raises_in_flight_is_named_by_file_and_line_and_its_vehicle_h
     launch, tmp_path
 ):
     (tmp_path / "mine.py").write_text(FAILING_LAW)
-    (tmp_path / "flown.yaml").write_text("extends: paper_5\nlaw: mine.py:law\n")
+    (tmp_path / "flown.yaml").write_text(f"extends: {THREE}\nlaw: mine.py:law\n")
     bag = tmp_path / "bag"
     words = ("--scenario", str(tmp_path / "flown.yaml"), "--duration", "1.5", "--bag", str(bag))
     flight = launch(*words)
     assert flight.finish() == 1
     assert f"{tmp_path}/mine.py:4: law: ValueError: no way out" in "\n".join(flight.lines)
-    assert "lost uav5" in flight.lines[-1]  # the only UAV whose place is so far out
+    assert "lost uav3" in flight.lines[-1]  # the only UAV whose place is on the left
     assert not flight.running()
     flown = read_bag(bag)
     told = counts(flown)
-    assert told["/uav5/setpoint/wrench"] < told["/uav4/setpoint/wrench"]
-    hovers = [wire.decode_odometry(m.data).values for m in flown.messages(["/uav5/odom"])][-2:]
+    assert told["/uav3/setpoint/wrench"] < told["/uav2/setpoint/wrench"]
+    hovers = [wire.decode_odometry(m.data).values for m in flown.messages(["/uav3/odom"])][-2:]
     assert hovers[0].tolist() == hovers[1].tolist()
 
 
@@ -329,7 +325,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
 
 @pytest.mark.slow
 def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):
-    flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))
+    flight = launch("--duration", "200", "--processes", "2", "--bag", str(tmp_path / "bag"))
     flight.wait_until_flown(1.5)
     flight.process.send_signal(signal.SIGINT)
     assert flight.finish() == 130
@@ -341,9 +337,9 @@ def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):
 
 @pytest.mark.slow
 def test_no_process_outlives_a_killed_launcher(launch):
-    flight = launch("--duration", "600")
+    flight = launch("--duration", "600", "--processes", "2")
     flight.wait_for("started")
-    assert len(flight.running()) == 6
+    assert len(flight.running()) == 3
     flight.process.kill()
     assert flight.all_end(within_s=60)
 
@@ -351,7 +347,7 @@ def test_no_process_outlives_a_killed_launcher(launch):
 @pytest.mark.slow
 def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp_path):
     (tmp_path / "file").write_text("")
-    flight = launch("--bag", str(tmp_path / "file" / "bag"))
+    flight = launch("--processes", "1", "--bag", str(tmp_path / "file" / "bag"))
     assert flight.finish() == 2
     text = "\n".join(flight.lines)
     assert "before the flight: recorder (pid " in text
@@ -396,7 +392,9 @@ def test_a_fleet_that_waits_flies_its_mission_for_a_client_of_the_operators_inte
         if line.startswith("all are ready"):
             client.start()
 
-    options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, operator=True, wait=True)
+    options = FleetOptions(
+        scenario, lockstep=True, log_dir=tmp_path, operator=True, wait=True, processes=2
+    )
     flown = run_fleet(options, progress)
     client.join()
     assert told == [{}, 1]

@@ -95,7 +95,7 @@ def test_what_the_processes_of_a_fleet_use_is_granted(ros, launch, tmp_path, cha
     scenario = load_scenario("paper_5", changes)
     (tmp_path / "flown.yaml").write_text(scenario.text)
     flight = launch(
-        *("--scenario", str(tmp_path / "flown.yaml"), "--duration", "60"),
+        *("--scenario", str(tmp_path / "flown.yaml"), "--duration", "60", "--processes", "2"),
         *("--bag", str(tmp_path / "bag")),
         domain=ros.domain,
     )

@@ -60,10 +60,8 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     new_key(key)
     monkeypatch.setenv(KEY_FILE, str(key))
     (tmp_path / "mission.yaml").write_text(MISSION)
-    flight = launch(
-        "--scenario", str(tmp_path / "mission.yaml"), "--bag", str(tmp_path / "bag"), "--wait",
-        domain=domain,
-    )  # fmt: skip
+    words = ("--scenario", str(tmp_path / "mission.yaml"), "--processes", "2", "--wait")
+    flight = launch(*words, "--bag", str(tmp_path / "bag"), domain=domain)
     now = [0]
     seal = Seal(read_key(key), required=True)
     ends = Endpoints(ros.node("operator"), lockstep=True, seal=seal)

@@ -46,9 +46,8 @@ def test_the_leader_of_a_fleet_follows_setpoints_and_the_bag_runs_again(
     """In lock-step; what cannot be followed is refused, and the silent stream ends in a hover."""
     (tmp_path / "stream.yaml").write_text(STREAM)
     bag_path = tmp_path / "bag"
-    flight = launch(
-        "--scenario", str(tmp_path / "stream.yaml"), "--bag", str(bag_path), domain=domain
-    )
+    words = ("--scenario", str(tmp_path / "stream.yaml"), "--processes", "2")
+    flight = launch(*words, "--bag", str(bag_path), domain=domain)
     node = ros.node("user")
     ends = Endpoints(node, lockstep=True)
     heard, now = [], [0]

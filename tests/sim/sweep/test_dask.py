@@ -20,8 +20,8 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_table_is_the_same_with_two_workers_killed(tmp_path: Path) -> None:
-    scenario = load_scenario("paper_5_free", {"timing.duration_s": 2.0})
-    plan = plan_of(scenario, 200, starts=parse_starts("near:0.3"))
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
+    plan = plan_of(scenario, 150, starts=parse_starts("near:0.3"))
     here = run(plan, tmp_path / "here", workers=2)
     with distributed.LocalCluster(
         n_workers=3, threads_per_worker=1, host="127.0.0.1", dashboard_address=None

@@ -63,7 +63,8 @@ def test_a_fleet_with_open_slots_flies_what_one_process_flies(tmp_path: Path) ->
     settings = {"formation.assignment": "optimal", "uavs": json.dumps(starts)}
     given = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     words = ("experiment_4", "--duration", "1.5", *given, "--json")
-    together, flown, err = run("fleet", *words, "--lockstep", "--bag", tmp_path / "fleet")
+    fleet = ("--lockstep", "--processes", "2", "--bag", tmp_path / "fleet")
+    together, flown, err = run("fleet", *words, *fleet)
     alone, simulated, _ = run("simulate", *words, "--bag", tmp_path / "alone")
     assert together == alone == 1, err  # too short for the deadline
     assert "/formation/slots" in assert_same_flight(tmp_path / "fleet", tmp_path / "alone")

@@ -47,7 +47,8 @@ def address_of(process: subprocess.Popen[str], lines: list[str]) -> str:
 def fleet() -> Iterator[tuple[subprocess.Popen[str], str, int]]:
     """A fleet that flies until it is ended, the address of its page, and its domain."""
     lines: list[str] = []
-    process = launched("fleet", "paper_5", "--lockstep", "--view", "--duration", "900")
+    words = ("fleet", "paper_5", "--lockstep", "--processes", "2", "--view", "--duration", "900")
+    process = launched(*words)
     watchdog = threading.Timer(LIMIT_MS / 1000, process.kill)
     watchdog.start()
     try:

@@ -331,12 +331,12 @@ def test_command(headless, rewritten):
 @pytest.mark.ros
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
 def test_a_fleet_in_real_time(tmp_path):
-    """Five processes by the wall clock; whatever the machine does to their timing, it is noted.
+    """Processes by the wall clock; whatever the machine does to their timing, it is noted.
 
     The namespace is in the frames of the messages, and so in the bytes that a re-run compares.
     """
-    words = ("fleet", "paper_5", "--real-time", "--duration", "2", "--bag", tmp_path / "bag")
-    _, _, err = run(*words, "--namespace", "blue", "--json")
+    words = ("fleet", "paper_5", "--real-time", "--duration", "2", "--processes", "2")
+    _, _, err = run(*words, "--bag", tmp_path / "bag", "--namespace", "blue", "--json")
     code, out, err = run("bag", "replay", tmp_path / "bag", "--rerun", "--json")
     told = json.loads(out)
     assert told["mode"] == "real time"

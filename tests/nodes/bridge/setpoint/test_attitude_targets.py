@@ -391,7 +391,7 @@ def four(kappa_1_s, delay_s, count=None, duration_s=25.0, **parameters):
 
 
 @pytest.mark.slow
-def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height():
+def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height_and_land():
     curve, sag, delay_s, kappa_1_s = 1.7, 0.5, 0.05, 1.8
     motors = {"THR_CURVE": curve, "THR_SAG": sag, "BATT_LIFE_S": 150.0}
     fleet = four(kappa_1_s, delay_s, **motors).airborne().form().run(25.6)
@@ -409,6 +409,9 @@ def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height():
     leader = fleet.uavs[fleet.scenario.leader.id]
     wanted_m = reference(path, 25.0).position[2]
     assert leader.vehicle.flight.truth.position_enu[2] == pytest.approx(wanted_m, abs=0.1)
+    fleet.land()
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+    assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
 
 
 @pytest.mark.slow
