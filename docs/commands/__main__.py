@@ -1,9 +1,9 @@
 """`python -m docs.commands [PAGE]...`: run every ```bash block of the pages in a scratch clone.
 
 Each page has a clone and a ROS domain of its own, in which its blocks run in order; each block is a shell of its own.
-The clone has no `.venv`: the environment that runs this must not be within reach of what a page installs. Pages on
-which a fleet flies in real time beside other commands run first, one by one; the others run several at the same time,
-those with the most commands first. Their results are printed in the order of the pages.
+The clone has no `.venv`: the environment that runs this must not be within reach of what a page installs. Several pages
+run at the same time, those with the most commands first. From its first block with vehicles a page has the machine
+alone: they fly in real time. The results are printed in the order of the pages.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
-from docs.commands.blocks import NOT_RUN, Block, How, PageError, blocks_of
+from docs.commands.blocks import NOT_RUN, Block, PageError, blocks_of
 from docs.commands.runner import Outcome, Page, Shared
 from ptnsbc_nodes.runtime.environment import reserved_domain
 
@@ -73,27 +73,14 @@ def _outcomes(pages: Mapping[str, Sequence[Block]], jobs: int) -> Iterator[Outco
     scripts = "\n".join(block.script for blocks in pages.values() for block in blocks)
     named = () if _DOMAIN_IS_GIVEN else {int(number) for number in _DOMAIN.findall(scripts)}
     longest_first = sorted(pages, key=lambda name: -_commands_in(pages[name]))
-    alone = [name for name in longest_first if _flies_in_real_time(pages[name])]
-    with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(jobs) as pool:
-        flights = {name: first.submit(_run, pages[name], shared, named) for name in alone}
-
-        def run_after_flights(name: str) -> list[Outcome]:
-            wait(flights.values())
-            return _run(pages[name], shared, named)
-
-        rest = (name for name in longest_first if name not in flights)
-        running = flights | {name: pool.submit(run_after_flights, name) for name in rest}
+    with ThreadPoolExecutor(jobs) as pool:
+        running = {name: pool.submit(_run, pages[name], shared, named) for name in longest_first}
         try:
             for name in pages:
                 yield from running[name].result()
         finally:
             shared.over.set()
-            first.shutdown(wait=False, cancel_futures=True)
             pool.shutdown(cancel_futures=True)
-
-
-def _flies_in_real_time(blocks: Sequence[Block]) -> bool:
-    return any(block.marker.how is How.BESIDE for block in blocks)
 
 
 def _commands_in(blocks: Sequence[Block]) -> int:

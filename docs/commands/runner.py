@@ -7,11 +7,10 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Event, RLock
+from threading import Condition, Event
 from typing import NamedTuple
 
 from docs.commands.blocks import Block, How
@@ -38,14 +37,48 @@ class InterruptedRunError(Exception):
     """The run of all pages is over before this page is."""
 
 
-@dataclass(frozen=True)
 class Shared:
-    """Things that all pages which run at the same time share."""
+    """The machine, which pages share until one has it alone, and the end of the run."""
 
-    over: Event = field(default_factory=Event)
-    """Set when no page shall go on."""
-    vehicles: RLock = field(default_factory=RLock)
-    """Held by the page whose stand-in flight controllers have the UDP ports."""
+    def __init__(self) -> None:
+        self.over = Event()
+        """Set when no page shall go on."""
+        self._changed = Condition()
+        self._alone = False
+        self._sharing = 0
+
+    @contextmanager
+    def beside_others(self) -> Iterator[None]:
+        """Run while no page has the machine alone, or waits for that."""
+        with self._changed:
+            self._wait_until(lambda: not self._alone)
+            self._sharing += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._sharing -= 1
+                self._changed.notify_all()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Run when everybody else has ended: a flight in real time, with the UDP ports of the vehicles."""
+        with self._changed:
+            self._wait_until(lambda: not self._alone)
+            self._alone = True
+        try:
+            with self._changed:
+                self._wait_until(lambda: not self._sharing)
+            yield
+        finally:
+            with self._changed:
+                self._alone = False
+                self._changed.notify_all()
+
+    def _wait_until(self, free: Callable[[], bool]) -> None:
+        while not self._changed.wait_for(free, _LOOK_S):
+            if self.over.is_set():
+                raise InterruptedRunError
 
 
 class _Process:
@@ -118,6 +151,7 @@ class Page:
         self._logs = logs
         self._environment = environment
         self._ci = {line.strip() for line in _commands_of(ci)}
+        self._has_machine = False  # until the page is over
         self._beside: list[tuple[Block, _Process, float]] = []
         self._stack = ExitStack()
 
@@ -129,21 +163,22 @@ class Page:
 
     def run(self, block: Block) -> Outcome:
         """One block, by its marker."""
-        began = time.monotonic()
         marker = block.marker
         if marker.how is How.SKIP:
             return Outcome(block, 0.0, skipped=marker.text)
         if marker.how is How.ELSEWHERE:
             return self._elsewhere(block)
-        if _VEHICLES in block.script:
-            self._stack.enter_context(self._shared.vehicles)  # until the page is over
-            began = time.monotonic()
-        if marker.how is How.BESIDE:
-            return self._start_beside(block)
-        if marker.how is How.EACH:
-            scripts = block.lines
-        else:
-            scripts = [_script(block)]
+        with ExitStack() as stack:
+            if not self._has_machine:
+                flies = _VEHICLES in block.script
+                self._has_machine = flies or marker.how is How.BESIDE
+                until = self._stack if self._has_machine else stack
+                until.enter_context(self._shared.alone() if flies else self._shared.beside_others())
+            return self._start_beside(block) if marker.how is How.BESIDE else self._run(block)
+
+    def _run(self, block: Block) -> Outcome:
+        began = time.monotonic()
+        scripts = block.lines if block.marker.how is How.EACH else [_script(block)]
         for script in scripts:
             problem, output = self._one(script, block)
             if problem:

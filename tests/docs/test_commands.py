@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
@@ -188,18 +188,36 @@ def test_nothing_goes_on_when_the_run_of_all_pages_is_over(tmp_path):
         page.run(block)
 
 
-def test_one_page_at_a_time_has_the_ports_of_the_vehicles(tmp_path):
+def _page_beside(tmp_path: Path, shared: Shared, name: str) -> Page:
+    return Page(tmp_path, _folder(tmp_path / name), dict(os.environ), CI, shared)
+
+
+def test_a_page_with_vehicles_has_the_machine_alone_until_it_is_over(tmp_path):
     shared = Shared()
+    vehicles = _blocks(tmp_path, ("", ": ptnsbc autopilot"), ("", ": ptnsbc autopilot again"))
+    (other,) = _blocks(tmp_path, ("", "touch other"))
+    with ThreadPoolExecutor(1) as pool, _page_beside(tmp_path, shared, "b") as page_beside:
+        with _page_beside(tmp_path, shared, "a") as page:
+            assert [page.run(block).problem for block in vehicles] == ["", ""]
+            waiting = pool.submit(page_beside.run, other)
+            assert not wait([waiting], 0.3).done
+            assert not (tmp_path / "other").exists()
+        assert waiting.result(60).problem == ""
+    assert (tmp_path / "other").exists()
 
-    def are_free() -> bool:
-        with ThreadPoolExecutor(1) as other:
-            return other.submit(shared.vehicles.acquire, blocking=False).result()
 
-    blocks = _blocks(tmp_path, ("", ": ptnsbc autopilot"), ("", ": ptnsbc autopilot again"))
-    with Page(tmp_path, _folder(tmp_path / "logs"), dict(os.environ), CI, shared) as page:
-        assert [page.run(block).problem for block in blocks] == ["", ""]
-        assert not are_free()
-    assert are_free()
+def test_a_page_with_vehicles_waits_for_what_goes_on_beside_another(tmp_path):
+    shared = Shared()
+    (vehicles,) = _blocks(tmp_path, ("", ": ptnsbc autopilot"))
+    blocks = _blocks(tmp_path, ('beside, until "up"', "echo up; sleep 60"), ("", "true"))
+    with ThreadPoolExecutor(1) as pool, _page_beside(tmp_path, shared, "b") as page_beside:
+        with _page_beside(tmp_path, shared, "a") as page:
+            assert page.run(blocks[0]).problem == ""
+            waiting = pool.submit(page_beside.run, vehicles)
+            assert page.run(blocks[1]).problem == ""
+            assert not wait([waiting], 0.3).done
+            assert [outcome.problem for outcome in page.finish()] == [""]
+        assert waiting.result(60).problem == ""
 
 
 def test_pages_run_at_the_same_time_and_are_printed_in_their_order(tmp_path, capsys, monkeypatch):
