@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # From a clean copy of this checkout: colcon builds it, plain over what an older version left and with
-# --symlink-install, and the executables of the plain build fly 10 s of paper_5, from another folder and without the
+# --symlink-install, and the executables of the plain build fly 6 s of paper_5, from another folder and without the
 # sources. Then pip installs the same, twice. Needs .venv (make setup-colcon). What is installed there of this project
 # is not seen: everything runs in environments like it that have the project from one place only.
 set -euo pipefail
@@ -109,11 +109,11 @@ build plain
 installed=$scratch/plain/ros2_ws/install
 check_programs "colcon build" "$installed"/ptnsbc_{nodes,tools} within plain
 
-say "a flight of 10 s with the installed executables, the sources gone"
+say "a flight of 6 s with the installed executables, the sources gone"
 rm -rf "$scratch"/plain/ptnsbc_* "$scratch"/plain/ros2_ws/{src,build}
 within plain places "$installed" python
 within plain "$installed/ptnsbc_tools/bin/ptnsbc" check paper_5 >/dev/null
-sed 's/^  duration_s: .*/  duration_s: 10/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
+sed 's/^  duration_s: .*/  duration_s: 6/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
 within plain python -c "
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario

@@ -102,11 +102,11 @@ def test_four_vehicles_take_off_form_by_the_deadline_and_land():
 @pytest.mark.slow
 def test_four_vehicles_fly_a_figure_of_eight_in_a_v_that_turns():
     kind = "arducopter"
-    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 35.0}
+    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 28.0}
     made = load_scenario("figure_eight_4", changes).bridged()
     fleet = MavlinkFleet(made, kind, gnss="perfect")
     fleet.set_parameter("GUID_OPTIONS", 8)
-    fleet.airborne().form().run(35.6).land()
+    fleet.airborne().form().run(28.6).land()
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
     found = verdict_on(fleet.recording())
     assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]
@@ -179,11 +179,11 @@ def rms(errors):
 @pytest.mark.parametrize(("kind", "gnss"), [("px4", "rtk"), ("arducopter", "quiet")])
 def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(kind, gnss):
     """Both errors contain those of the receivers; the autopilot's own position loop sets the measure."""
-    made = scenario(kind, duration_s=20.0)
+    made = scenario(kind, duration_s=17.0)
     fleet = MavlinkFleet(made, kind, gnss=gnss)
     fleet.airborne()
     held, formed, closest_m = [], [], []
-    for _ in range(120):
+    for _ in range(80):
         fleet.run(0.1)
         held.append(true_places(fleet) - held_places(fleet))
     fleet.form()

@@ -118,7 +118,7 @@ LAST = {
     "fleet": "ptnsbc_nodes.fleet.supervisor",
     "ptnsbc fleet": "ptnsbc_nodes.fleet.supervisor",
 }
-MOMENTS = ["start", "ptnsbc_nodes.runtime.signals", "argparse", "numpy", "rclpy", "last"]
+MOMENTS = ["start", "ptnsbc_nodes.runtime.signals", "numpy", "rclpy", "last"]
 
 
 @pytest.mark.ros
