@@ -20,6 +20,7 @@ PAGES = {
     "cli.md": "docs.make.cli",
     "architecture.md": "docs.make.architecture",
     "faults.md": "docs.make.faults",
+    "tutorial.md": "docs.make.tutorial",
 }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from docs.make import __main__ as command
-from docs.make import cli, json_schemas, scenarios
+from docs.make import cli, json_schemas, scenarios, tutorial
 from docs.make.markdown import RegionError, remade, table
 from docs.make.schema import REQUIRED, meanings, rows
 from ptnsbc_io.bag import read_bag
@@ -157,6 +157,13 @@ def test_defaults_of_gains_are_those_of_a_flight(plant, made_scenarios):
             else value
         )
         assert told[key] == (f"{shown:g}" if isinstance(shown, int | float) else shown), key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", tutorial.COMMANDS)
+def test_a_transcript_of_the_tutorial_is_one_screen(name):
+    shown = tutorial.transcript(*tutorial.COMMANDS[name]).splitlines()[1:]
+    assert len(shown) <= 24 and max(map(len, shown)) <= 80
 
 
 def test_every_command_has_its_options():
