@@ -52,11 +52,12 @@ class MessageQueue:
     A message that the scenario wants late has arrived, but it does not count before its time.
     """
 
-    __slots__ = ("_faults", "_link", "_messages", "newest_ns")
+    __slots__ = ("_faults", "_is_perfect", "_link", "_messages", "newest_ns")
 
     def __init__(self, link: Link = _PERFECT, faults: Sequence[MessageFault] | None = None) -> None:
         """`faults`: those of messages, as they come; None where there will be none."""
         self._link, self._faults = link, () if faults is None else faults
+        self._is_perfect = link.loss == 0.0 and link.delay_ns == 0  # of itself
         most_ns = link.delay_ns + (0 if faults is None else nanoseconds(MOST_DELAY_S))
         length = _QUEUE_LENGTH - (-most_ns // link.period_ns)
         self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
@@ -68,7 +69,8 @@ class MessageQueue:
         A message that the scenario wants lost has still arrived: lock-step does not wait for it.
         """
         stamp_ns = self.newest_ns = message.stamp_ns
-        if not self._link.loses(stamp_ns, self._faults):
+        perfect = self._is_perfect and not self._faults
+        if perfect or not self._link.loses(stamp_ns, self._faults):
             self._messages.appendleft(message)
 
     def miss(self, stamp_ns: int) -> None:
@@ -77,15 +79,15 @@ class MessageQueue:
 
     def before(self, cutoff_ns: int, now_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns] that has its delay behind it at `now_ns` [ns]."""
-        late = self._link.delay_ns > 0 or self._faults
+        perfect = self._is_perfect and not self._faults
         for message in self._messages:
             if message.stamp_ns >= cutoff_ns:
                 continue
-            if late:
-                late_ns = self._link.late_ns(message.stamp_ns, self._faults)
-                if late_ns > 0 and message.stamp_ns > now_ns - late_ns:
-                    continue  # it has not arrived yet
-            return message
+            if perfect:
+                return message
+            late_ns = self._link.late_ns(message.stamp_ns, self._faults)
+            if late_ns == 0 or message.stamp_ns <= now_ns - late_ns:
+                return message
         return None
 
 
@@ -142,14 +144,6 @@ class Inbox:
         self._rows = tuple(self._rows_of_messages())
         self._await()
 
-    def on_state(self, uav_id: int, message: Stamped) -> None:
-        """Keep a formation_state."""
-        self.state_queues[uav_id].put(message)
-
-    def on_estimate(self, uav_id: int, message: Stamped) -> None:
-        """Keep a leader_estimate."""
-        self.estimate_queues[uav_id].put(message)
-
     def lose(self, uav_id: int) -> None:
         """Stop waiting for this sender, whose process has ended. Its last messages age from now on."""
         self._lost.add(uav_id)
@@ -175,7 +169,7 @@ class Inbox:
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
         """The messages of a step: own, near, states, estimates, the latter two by ascending sender."""
-        queues = (queue.before(cutoff_ns, now_ns) for _, queue in self._used)
+        queues = [queue.before(cutoff_ns, now_ns) for _, queue in self._used]
         return [self.own, self.near, *queues]
 
     def states(self, now_ns: int, cutoff_ns: int) -> Iterator[Heard]:
@@ -215,9 +209,9 @@ class Inbox:
         if self.near is not None:
             inputs.near = self.near.values
             vector[NEAR_AGE] = _age_s(self.near, now_ns)
-        self.used = self.held(now_ns, cutoff_ns)
+        used = self.used = self.held(now_ns, cutoff_ns)
         for place, row, age_at in self._rows:
-            message = self.used[place]
+            message = used[place]
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
@@ -225,7 +219,7 @@ class Inbox:
         if several is not None:  # their messages as one
             states, ages = self._parent_states, self._parent_ages
             for k, uav_id in enumerate(several.ids):
-                message = self.used[self._places[uav_id]]
+                message = used[self._places[uav_id]]
                 ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
                 if message is not None:
                     states[k] = message.values

@@ -288,11 +288,8 @@ class UavReplay:
         inbox = self.controller.inbox
         self._put: dict[str, Callable[[Stamped], None]] = {
             **{name: partial(setattr, inbox, name) for name in ("own", "near")},
-            **{f"state{i}": partial(inbox.on_state, i) for i in inbox.senders.heard_states},
-            **{
-                f"estimate{i}": partial(inbox.on_estimate, i)
-                for i in inbox.senders.heard_estimators
-            },
+            **{f"state{i}": queue.put for i, queue in inbox.state_queues.items()},
+            **{f"estimate{i}": queue.put for i, queue in inbox.estimate_queues.items()},
         }
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:

@@ -363,10 +363,10 @@ class MavlinkFleet:
         for uav in self.uavs.values():
             for i in uav.senders.heard_states:
                 if sent.get(i) is not None:
-                    uav.controller.inbox.on_state(i, sent[i][0])
+                    uav.controller.inbox.state_queues[i].put(sent[i][0])
             for i in uav.senders.heard_estimators:
                 if sent.get(i) is not None:
-                    uav.controller.inbox.on_estimate(i, sent[i][1])
+                    uav.controller.inbox.estimate_queues[i].put(sent[i][1])
 
     def airborne(self):
         return self.run(

@@ -140,11 +140,11 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
             for i in one.senders.states:
                 data = on_air.get(topics.formation_state(i).name)
                 if data is not None and rng.random() > 0.1:
-                    one.inbox.on_state(i, decode_odometry(data))
+                    one.inbox.state_queues[i].put(decode_odometry(data))
             for i in one.senders.estimators:
                 data = on_air.get(topics.leader_estimate(i).name)
                 if data is not None and rng.random() > 0.1:
-                    one.inbox.on_estimate(i, decode_odometry(data))
+                    one.inbox.estimate_queues[i].put(decode_odometry(data))
             for _ in range(2 if rng.random() < 0.05 else 1):  # a late timer ticks twice
                 for topic, data in one.step(now_ns).items():
                     writer.write(topic.name, now_ns, data)

@@ -47,9 +47,9 @@ def fly(scenario, edges, controllers, ticks):
             controller.inbox.own = Stamped(now_ns, world.odometry(i))
             controller.inbox.near = Stamped(now_ns, world.near(i))
             for other in edges.senders(i).states:
-                controller.inbox.on_state(other, Stamped(now_ns, world.odometry(other)))
+                controller.inbox.state_queues[other].put(Stamped(now_ns, world.odometry(other)))
             for other in edges.senders(i).estimators:
-                controller.inbox.on_estimate(other, Stamped(now_ns, world.odometry(other)))
+                controller.inbox.estimate_queues[other].put(Stamped(now_ns, world.odometry(other)))
         world.step(
             {i: controller.step(at, NO_CUTOFF_NS).wrench for i, controller in controllers.items()}
         )

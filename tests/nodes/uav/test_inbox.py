@@ -31,9 +31,9 @@ def link(delay_ns: int) -> Link:
 
 def hear_all(inbox: Inbox, tick: int) -> None:
     for i in inbox.senders.states:
-        inbox.on_state(i, message(tick, 10 * i + tick))
+        inbox.state_queues[i].put(message(tick, 10 * i + tick))
     for i in inbox.senders.estimators:
-        inbox.on_estimate(i, message(tick, 100 * i + tick))
+        inbox.estimate_queues[i].put(message(tick, 100 * i + tick))
 
 
 def inputs_of(inbox: Inbox, *when) -> AgentInputs:
@@ -145,13 +145,13 @@ def test_a_tick_waits_for_each_message_of_the_tick_before(missing):
     inbox.own, inbox.near = message(7), near(5)
     for i in (1, 2):
         if missing != ("state", i):
-            inbox.on_state(i, message(6))
+            inbox.state_queues[i].put(message(6))
     for i in (2, 4):
         if missing != ("estimate", i):
-            inbox.on_estimate(i, message(6))
+            inbox.estimate_queues[i].put(message(6))
     assert not inbox.holds_tick(PERIOD, NEAR_EVERY)
     kind, i = missing
-    (inbox.on_state if kind == "state" else inbox.on_estimate)(i, message(6))
+    (inbox.state_queues if kind == "state" else inbox.estimate_queues)[i].put(message(6))
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
 
 
@@ -168,8 +168,8 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
     inbox = Inbox(FOLLOWER)
     hear_all(inbox, 3)
     for tick in (5, 6):
-        inbox.on_state(1, message(tick))
-        inbox.on_estimate(4, message(tick))
+        inbox.state_queues[1].put(message(tick))
+        inbox.estimate_queues[4].put(message(tick))
     inbox.own, inbox.near = message(7), near(5)
     assert not inbox.holds_tick(PERIOD, NEAR_EVERY)
     inbox.lose(2)
@@ -186,7 +186,7 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
             return stamp_ns // PERIOD >= 4 if self.kind == STATE_LINK else self.sender == 4
 
     kinds = STATE_LINK, ESTIMATE_LINK
-    links = {(kind, i): Half(i, 3, kind) for kind in kinds for i in (1, 2, 4)}
+    links = {(kind, i): Half(i, 3, kind, loss=0.5) for kind in kinds for i in (1, 2, 4)}
     inbox = Inbox(replace(FOLLOWER, links=links))
     for tick in range(40):
         hear_all(inbox, tick)
@@ -207,7 +207,7 @@ def test_late_messages_are_waited_for_and_count_later(delay_ns, ticks):
     for tick in range(40):
         hear_all(inbox, tick)
     for tick in range(40, 40 + LEAD_TICKS):  # these overtook our tick 40
-        inbox.on_state(2, message(tick, 20 + tick))
+        inbox.state_queues[2].put(message(tick, 20 + tick))
     inbox.own, inbox.near = message(40), near(40)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
     inputs = inputs_of(inbox, 40 * PERIOD, 40 * PERIOD)
@@ -231,8 +231,8 @@ def test_in_real_time_a_late_message_counts_to_the_nanosecond():
 
 def test_the_senders_of_estimates_that_have_become_too_old_are_known():
     inbox = Inbox(FOLLOWER)
-    inbox.on_estimate(2, message(1))
+    inbox.estimate_queues[2].put(message(1))
     assert inbox.silent_estimates(3 * PERIOD, 2 * PERIOD) == []
     assert inbox.silent_estimates(4 * PERIOD, 2 * PERIOD) == [2]
-    inbox.on_estimate(2, message(4))
+    inbox.estimate_queues[2].put(message(4))
     assert inbox.silent_estimates(4 * PERIOD, 2 * PERIOD) == []

@@ -29,9 +29,9 @@ def fed(controller: UavController, rng: np.random.Generator, k: int) -> StepTime
     controller.inbox.own = odometry(rng, now_ns - 1)
     controller.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 7)))
     for uav in SENDERS.states:
-        controller.inbox.on_state(uav, odometry(rng, now_ns - 3))
+        controller.inbox.state_queues[uav].put(odometry(rng, now_ns - 3))
     for uav in SENDERS.estimators:
-        controller.inbox.on_estimate(uav, odometry(rng, now_ns - 4))
+        controller.inbox.estimate_queues[uav].put(odometry(rng, now_ns - 4))
     return StepTime(now_ns, STEP_NS, MODE_FORMATION, STEP_NS, STEP_NS, True)
 
 

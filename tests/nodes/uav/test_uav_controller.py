@@ -105,7 +105,7 @@ def test_an_estimate_is_of_the_time_that_its_message_has(late_ticks: int) -> Non
 
     for tick in range(late_ticks, 300):
         leader = np.concatenate((leader_at(tick - 1), [0.0, 0.0, 0.0, 1.0], velocity, np.zeros(3)))
-        flown.inbox.on_state(1, Stamped((tick - 1) * period_ns, leader))
+        flown.inbox.state_queues[1].put(Stamped((tick - 1) * period_ns, leader))
         beside = leader_at(tick) + np.array([2.0, 0.0, 0.0])
         own = np.concatenate((beside, [0.0, 0.0, 0.0, 1.0], np.zeros(6)))
         flown.inbox.own = Stamped((tick - late_ticks) * period_ns, own)
@@ -283,8 +283,8 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
             controller.inbox.own, controller.inbox.near = own, Stamped(now_ns, np.zeros((0, 7)))
             for other, (state, estimate) in sent.items():
                 if other != uav:
-                    controller.inbox.on_state(other, state)
-                    controller.inbox.on_estimate(other, estimate)
+                    controller.inbox.state_queues[other].put(state)
+                    controller.inbox.estimate_queues[other].put(estimate)
             at = step_time(now_ns, period_ns, leg, 0)
             if not one.take_slot(step_time(0, 0, leg, 0)):
                 at = at._replace(mode=MODE_HOLD)
@@ -361,7 +361,7 @@ def test_a_process_receives_what_the_headless_flight_receives():
     faults.begin(0)
     expected, dt_ns = last_state_received(scenario, 3, 2), scenario.timing.dt_ns
     for tick in range(scenario.timing.ticks):
-        inbox.on_state(2, state(tick * dt_ns))
+        inbox.state_queues[2].put(state(tick * dt_ns))
         heard = inbox.state_queues[2].before(tick * dt_ns, tick * dt_ns)
         assert (-1 if heard is None else heard.stamp_ns // dt_ns) == expected[tick], tick
 
@@ -369,11 +369,11 @@ def test_a_process_receives_what_the_headless_flight_receives():
 def test_faults_count_from_the_first_epoch_and_only_once():
     faults, inbox = faults_of(3, [{"kind": "silence", "uav": 2, "at_s": 1}])
     before, after = EPOCH_NS + 990_000_000, EPOCH_NS + 1_010_000_000
-    inbox.on_state(2, state(2_000_000_000))  # before the epoch nothing is struck
+    inbox.state_queues[2].put(state(2_000_000_000))  # before the epoch nothing is struck
     faults.begin(EPOCH_NS)
     faults.begin(EPOCH_NS - 1_000_000_000)  # another leg
-    inbox.on_state(2, state(before))
-    inbox.on_state(2, state(after))
+    inbox.state_queues[2].put(state(before))
+    inbox.state_queues[2].put(state(after))
     assert inbox.state_queues[2].before(2**62, 2**62).stamp_ns == before
     assert inbox.state_queues[2].newest_ns == after
 
@@ -419,9 +419,9 @@ def test_an_operators_fault_begins_now_and_is_remembered_in_words():
     now_ns = EPOCH_NS + 12_340_000_000
     fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0, "duration_s": 1})
     faults.inject(fault, now_ns)
-    inbox.on_state(2, state(now_ns + 10_000_000))
+    inbox.state_queues[2].put(state(now_ns + 10_000_000))
     assert inbox.state_queues[2].before(2**62, 2**62) is None
-    inbox.on_state(2, state(now_ns + 1_010_000_000))
+    inbox.state_queues[2].put(state(now_ns + 1_010_000_000))
     assert inbox.state_queues[2].before(2**62, 2**62) is not None
     assert faults.injected == ["silence of uav2 at 12.3 s for 1 s"]
 
