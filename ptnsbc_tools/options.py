@@ -135,6 +135,9 @@ PictureOption = Annotated[
 ]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing bag.")]
 JsonOption = Annotated[bool, option("--json", "Print one JSON object on stdout and nothing else.")]
+StrictOption = Annotated[
+    bool, option("--strict", "Count UAVs that gave way and came late as missed.")
+]
 VerboseOption = Annotated[bool, option("--verbose -v", "Print everything.")]
 PlainOption = Annotated[bool, option("--plain", "Lines instead of the table that redraws itself.")]
 AllowArmingOption = Annotated[bool, option("--allow-arming", "Arm real vehicles and take off.")]
@@ -309,6 +312,15 @@ class ReadOptions:
 
 AS_RECORDED = ReadOptions()
 """Of a bag of ours, judged as its scenario says."""
+
+
+@dataclass(frozen=True)
+class Showing:
+    """How a command shows its verdict."""
+
+    verbose: VerboseOption = False
+    strict: StrictOption = False
+    json: JsonOption = False
 
 
 def scenario_with(name: str, given: dict[str, Any]) -> Scenario:

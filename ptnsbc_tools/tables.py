@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_sim.verdict import Verdict
-from ptnsbc_sim.verdict.deadline import WORST_FIRST
+from ptnsbc_sim.verdict.deadline import KEPT, MET, WORST_FIRST
+from ptnsbc_sim.verdict.encounters import listed
+from ptnsbc_sim.verdict.separation import Separation
+from ptnsbc_sim.verdict.verdict import LegVerdict
 from ptnsbc_tools import console
 from ptnsbc_tools.check.finding import Finding
+from ptnsbc_tools.options import Showing
 
 _COLOURS = {
     "error": "bold red",
@@ -26,6 +32,8 @@ _COLOURS = {
     "met": "green",
 }
 _PAIRS = 3
+_NEAREST = 6
+_WIDTH = 80
 
 # Heading, attribute and digits of each column of numbers
 _Columns = tuple[tuple[str, str, int], ...]
@@ -145,6 +153,104 @@ def mission_list(found: Mapping[str, Any]) -> Table:
     return table
 
 
+def _place_table(leg: LegVerdict) -> Table:
+    """One row per UAV: when it was in place, how far off at the deadline and after it, and the verdict."""
+    heads = ("in place after s", f"at {leg.uavs[0].deadline_s:.4g} s, m", "worst after, m")
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    for head in ("UAV", *heads):
+        table.add_column(head, justify="right")
+    table.add_column("verdict", overflow="fold")
+    for of in leg.uavs:
+        after_s = of.settling_s if of.arrived_s is None else of.arrived_s
+        errors = of.error_at_deadline_m, of.max_error_after_all_m
+        shown = ["-" if error is None else f"{error:.3f}" for error in errors]
+        state = word(of.verdict)
+        if of.gave_way_to:
+            state.append(f" ({listed(of.gave_way_to)})", style="default")
+        table.add_row(str(of.uav), "never" if after_s is None else f"{after_s:.2f}", *shown, state)
+    return table
+
+
+def _distance_table(verdict: Verdict, most: int | None = None) -> Table:
+    """The closest pair of UAVs, and the closest UAV of each obstacle, beside what was to be kept."""
+    uavs = {f"uav{of.uav}" for of in verdict.uavs}
+    nearest: dict[str, Separation] = {}  # the tightest come first
+    for pair in verdict.separations:
+        nearest.setdefault("" if pair.second in uavs else pair.second, pair)
+    rows = sorted(nearest.items(), key=lambda row: row[0] != "")
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table.add_column("nearest")
+    for head in ("m", "to be kept, m", "at s"):
+        table.add_column(head, justify="right")
+    for _, pair in rows[:most]:
+        cells = f"{pair.distance_m:.3f}", f"{pair.keep_out_m:.2f}", f"{pair.at_s:.2f}"
+        style = "bold red" if pair.entered else ""
+        table.add_row(listed((pair.first, pair.second)), *cells, style=style)
+    if (more := len(rows) - len(rows[:most])) > 0:
+        table.add_row(f"{console.counted(more, 'more obstacle')}: -v")
+    return table
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.2f} m" if metres >= 0.1 else f"{1000.0 * metres:.2g} mm"
+
+
+def _who_came(leg: LegVerdict) -> str:
+    """How many UAVs were in place at the deadline of a leg, and why others came later."""
+    if leg.reason:
+        return f"{leg.reason}."
+    there, deadline_s = leg.in_place, leg.uavs[0].deadline_s
+    if there.count == there.of:
+        errors = [of.error_at_deadline_m or 0.0 for of in leg.uavs if of.in_place]
+        worst = _length(max(errors, default=0.0))
+        return f"In formation at {deadline_s:.4g} s: {there.count} of {there.of}, worst {worst}."
+    text = f"{there.count} of {there.of} in place by {deadline_s:.4g} s"
+    arrived_s = [of.arrived_s for of in leg.uavs if of.arrived_s is not None]
+    if arrived_s:
+        uavs = {f"uav{of.uav}" for of in leg.uavs}
+        names = dict.fromkeys(
+            "each other" if name in uavs and len(arrived_s) > 1 else name
+            for of in leg.uavs
+            if of.arrived_s is not None
+            for name in of.gave_way_to
+        )
+        who = "they" if len(arrived_s) > 1 else "it"
+        why = f"{who} gave way to {listed(names)}" if names else "others came or went"
+        text += f", {len(arrived_s)} later because {why}, the last at {max(arrived_s):.1f} s"
+    return f"{text}."
+
+
+def verdict_sentence(verdict: Verdict) -> Text:
+    """The verdict in words: who was in place at the deadline and who came later, and how near UAVs came to what."""
+    legs = verdict.legs
+    parts = [_who_came(legs[0])]
+    parts += [
+        f"Leg {leg.number}, from {leg.epoch_s - verdict.epoch_s:g} s: {_who_came(leg)}"
+        for leg in legs[1:]
+        if leg.verdict != MET
+    ]
+    for name, of_name in (("legs", legs), ("legs of the mission", verdict.mission)):
+        if len(of_name) > 1:
+            met = sum(leg.verdict == MET for leg in of_name)
+            parts.append(f"{met} of {len(of_name)} {name} met.")
+    if verdict.separations:
+        near = verdict.separations[0]
+        pair = listed((near.first, near.second))
+        parts.append(
+            f"Nearest: {pair}, {near.distance_m:.2f} m ({near.keep_out_m:.2f} to be kept)."
+        )
+    uavs = [of for leg in legs for of in leg.uavs if of.arrived_s is None and not of.membership]
+    away = [of for of in uavs if of.excused_outside_s]
+    if away:
+        count = console.counted(len({of.uav for of in away}), "UAV")
+        back_s = max(of.regained_s or 0.0 for of in away)
+        parts.append(
+            f"{count} gave way later, or followed one that did, and came back within {back_s:.1f} s."
+        )
+    parts += [f"{loss}." for loss in _losses(verdict)]
+    return Text.assemble("Verdict: ", word(verdict.verdict), f". {' '.join(parts)}")
+
+
 def verdict_tables(verdict: Verdict) -> list[Table]:
     """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
     tables = [deadline_table(verdict)]
@@ -169,8 +275,8 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
     return tables
 
 
-def reasons(verdict: Verdict) -> list[Text]:
-    """The injected faults, why UAVs are not met, and the encounters that excuse met ones: one line each."""
+def reasons(verdict: Verdict, *, all_of_them: bool = True) -> list[Text]:
+    """The injected faults, and why UAVs and legs are not met, one line each; of all the excuses of the others too."""
     found = [Text(f"injected: {fault}") for fault in verdict.faults]
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
@@ -180,13 +286,21 @@ def reasons(verdict: Verdict) -> list[Text]:
         found += [
             Text.assemble(where, f"UAV {one.uav} ", word(one.verdict), f": {text}")
             for one in leg.uavs
-            if (text := one.reason or one.excuse)
+            if (text := one.reason or one.excuse) and (all_of_them or one.verdict not in KEPT)
         ]
     return found + [
         Text.assemble(f"leg {leg.name} ", word(leg.verdict), f": {leg.reason}")
         for leg in verdict.mission
         if leg.reason
     ]
+
+
+def _losses(verdict: Verdict) -> Iterator[str]:
+    missing = sum(of.missing for of in verdict.uavs) + sum(of.missing for of in verdict.efforts)
+    if missing:
+        yield f"{console.counted(missing, 'message')} missing"
+    if verdict.missed_ticks:
+        yield f"{console.counted(verdict.missed_ticks, 'tick')} missed"
 
 
 def verdict_line(verdict: Verdict) -> Text:
@@ -204,33 +318,41 @@ def verdict_line(verdict: Verdict) -> Text:
     excused = sum(one.excused_outside_s for leg in verdict.legs for one in leg.uavs)
     if excused:
         tail += f"; {excused:.2f} s outside the band excused near objects"
-    missing = sum(one.missing for one in verdict.uavs)
-    missing += sum(one.missing for one in verdict.efforts)
-    if missing:
-        tail += f"; {console.counted(missing, 'message')} missing"
-    if verdict.missed_ticks:
-        tail += f"; {console.counted(verdict.missed_ticks, 'tick')} missed"
+    tail += "".join(f"; {loss}" for loss in _losses(verdict))
     if verdict.latency_ms:
         figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
         tail += f"; latency {figures}"
     return Text.assemble("Verdict: ", word(verdict.verdict), f" ({tail})")
 
 
-def show_verdict(verdict: Verdict, *, json: bool, **extra: Any) -> None:
-    """Print the verdict as tables or as JSON; `extra` goes into the JSON, and its paths below the tables."""
+def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
+    """Print the verdict, and return the exit code; `extra` goes into the JSON, and its paths below the tables."""
+    verdict = verdict.strict() if showing.strict else verdict
     files = {key: value for key, value in extra.items() if value is not None}
-    if json:
+    if showing.json:
         plain = {
             key: str(value) if isinstance(value, Path) else value for key, value in files.items()
         }
         console.print_json({**verdict.as_json(), **plain})
-        return
+        return verdict.exit_code
     out = console.out()
-    for table in verdict_tables(verdict):
-        for part in console.narrowed(table, out):
-            out.print(part)
-    for line in [*reasons(verdict), verdict_line(verdict)]:
+    for line in verdict_sentence(verdict).wrap(out, _WIDTH):
+        out.print(line)
+    tables = [_place_table(leg) for leg in verdict.legs if leg.uavs]
+    tables.append(_distance_table(verdict, None if showing.verbose else _NEAREST))
+    for table in tables:
+        out.print("", table, sep="\n", width=min(out.width, _WIDTH))
+    out.print()
+    lines = reasons(verdict, all_of_them=showing.verbose)
+    if showing.verbose:
+        for table in verdict_tables(verdict):
+            out.print(*console.narrowed(table, out), sep="\n")
+        lines.append(verdict_line(verdict))
+    for line in lines:
         out.print(line, soft_wrap=True)
     for key, value in files.items():
         if isinstance(value, Path):
             print(f"{key}: {value}")
+    if "bag" in files:
+        print(f"report: {shlex.join(('ptnsbc', 'report', str(files['bag'])))}")
+    return verdict.exit_code

@@ -158,7 +158,7 @@ def flown(monkeypatch):
     """What `ptnsbc fleet` understands of its words, without flying."""
     calls = []
 
-    def fly(scenario, parts, *, json, check, views):
+    def fly(scenario, parts, showing, *, check, views):
         calls.append((scenario, {**vars(parts), "check": check}, views))
         return 0
 

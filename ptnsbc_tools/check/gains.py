@@ -125,7 +125,7 @@ def feasible(scenario: Scenario) -> Findings:
     hundredths = 100.0 * need_s  # as it is printed: never rounded down
     shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else need_s
     too_short = f", too short for {short} of {len(away)} UAVs" if short else ""
-    start = f"UAV {last} starts {away[last]:.2f} m from its place and needs {shortest:.2f} s"
+    start = f"UAV {last} has {away[last]:.2f} m to fly to its place and needs {shortest:.2f} s"
     value = f"{deadline:g} s{too_short}; {start}"
     limits = f"{left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2"
     limit = f">= {shortest:.2f} s, with {limits} beside the leader's largest motion"

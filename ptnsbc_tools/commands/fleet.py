@@ -25,12 +25,12 @@ from ptnsbc_tools.options import (
     DurationOption,
     FlightChoices,
     FoxgloveOption,
-    JsonOption,
     NamespaceOption,
     NetworkOption,
     OverwriteOption,
     PlainOption,
     ScenarioArgument,
+    Showing,
     option,
 )
 
@@ -135,7 +135,8 @@ def fleet(
             "the flight. Default: with real vehicles.",
         ),
     ] = None,
-    json: JsonOption = False,
+    *,
+    showing: Showing,
 ) -> None:
     """Fly a scenario with one ROS 2 process per UAV, and judge it.
 
@@ -144,7 +145,7 @@ def fleet(
     """
     ros.select_network(network, domain)
     chosen = choices.of(scenario, params_file)
-    raise typer.Exit(fly_and_judge(chosen, parts, json=json, check=check, views=views))
+    raise typer.Exit(fly_and_judge(chosen, parts, showing, check=check, views=views))
 
 
 def demo(
@@ -152,21 +153,22 @@ def demo(
     folder: Annotated[
         Path, option("--output -o DIR", "Folder for the bag and the picture.")
     ] = Path("out"),
-    json: JsonOption = False,
+    *,
+    showing: Showing,
 ) -> None:
     """Fly Simulation 1 of the paper with a fleet in lock-step: bag, verdict and picture."""
     scenario = FlightChoices(duration=duration).of(_DEMO)
     bag = folder / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
     picture = bag.with_name(f"{bag.name}.png")
     parts = Parts(lockstep=True, bag=bag)
-    raise typer.Exit(fly_and_judge(scenario, parts, json=json, picture=picture))
+    raise typer.Exit(fly_and_judge(scenario, parts, showing, picture=picture))
 
 
 def fly_and_judge(
     scenario: Scenario,
     parts: Parts,
+    showing: Showing,
     *,
-    json: bool,
     picture: Path | None = None,
     check: bool | None = None,
     views: Views | None = None,
@@ -181,7 +183,7 @@ def fly_and_judge(
         for line in _flight_overrides(scenario):
             console.say(line)
         scenario = scenario.bridged()
-    preflight(scenario, quiet=json)
+    preflight(scenario, quiet=showing.json)
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
         request = parts.request(scenario)
     if request.leads and (bridged if check is None else check):
@@ -189,12 +191,12 @@ def fly_and_judge(
         _refuse_dry_runs(scenario)
         request = replace(request, objection=_objection)
     if not request.leads:  # the host with the recorder shows the verdict
-        flown = _fly(request, views, json)
+        flown = _fly(request, views, showing.json)
         for line in _losses(flown, leads=False):
             console.say(line)
         end = f"over after {flown.flight_s:.1f} s"
         console.say(f"{end}; the verdict is on the host with the recorder")
-        if json:
+        if showing.json:
             facts = _fleet_facts(flown)
             del facts["recorded"]
             console.print_json({"fleet": facts})
@@ -203,13 +205,13 @@ def fly_and_judge(
         if request.bag is None:  # the verdict is read from a bag
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
             request = replace(request, bag=Path(folder) / "bag")
-        flown = _fly(request, views, json)
+        flown = _fly(request, views, showing.json)
         for line in _losses(flown):
             console.say(line)
         assert request.bag is not None
         if flown.interrupted and not request.bag.exists():
             return flown.exit_code
-        return _judge(request.bag, flown, kept=parts.bag, picture=picture, json=json)
+        return _judge(request.bag, flown, showing, kept=parts.bag, picture=picture)
 
 
 def _refuse_dry_runs(scenario: Scenario) -> None:
@@ -291,7 +293,7 @@ def _losses(flown: FleetResult, *, leads: bool = True) -> Iterator[str]:
 
 
 def _judge(
-    bag: Path, flown: FleetResult, *, kept: Path | None, picture: Path | None, json: bool
+    bag: Path, flown: FleetResult, showing: Showing, *, kept: Path | None, picture: Path | None
 ) -> int:
     """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
     from ptnsbc_tools.library.flight import flight_in
@@ -307,11 +309,11 @@ def _judge(
         console.say(
             f"error: the flight {end} after {flown.flight_s:.1f} s, but has no verdict: {line}"
         )
-        if json:
+        if showing.json:
             place = None if kept is None else str(kept)
             console.print_json({"bag": place, "fleet": facts, "verdict": None, "error": line})
         return flown.exit_code or _NO_VERDICT
     if picture is not None:
         flight.save_picture(picture)
-    show_verdict(verdict, json=json, bag=kept, fleet=facts, picture=picture)
-    return flown.exit_code or verdict.exit_code
+    code = show_verdict(verdict, showing, bag=kept, fleet=facts, picture=picture)
+    return flown.exit_code or code

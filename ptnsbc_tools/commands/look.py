@@ -16,6 +16,7 @@ from ptnsbc_tools.options import (
     JsonOption,
     PictureOption,
     ReadOptions,
+    Showing,
     argument,
     option,
 )
@@ -34,9 +35,9 @@ class NoCloneError(PtnsbcError):
 
 
 def verify(
-    bag: BagArgument, reading: ReadOptions, picture: PictureOption = None, json: JsonOption = False
+    bag: BagArgument, reading: ReadOptions, picture: PictureOption = None, *, showing: Showing
 ) -> None:
-    """Judge a recorded flight: met, missed, violated or void, with input, energy and separations.
+    """Judge a recorded flight: met, met late, missed, violated or void, and how near the UAVs came.
 
     A UAV that entered a keep-out is violated. An error counts from the epoch on, outside encounters.
     An encounter is a span in which the UAV, or one that it follows, avoids something, and a recovery
@@ -50,8 +51,7 @@ def verify(
     flight = flight_in(bag, reading)
     verdict = flight.verdict
     drawn = None if picture is None else flight.save_picture(picture)
-    show_verdict(verdict, json=json, picture=drawn)
-    raise typer.Exit(verdict.exit_code)
+    raise typer.Exit(show_verdict(verdict, showing, picture=drawn))
 
 
 def report(

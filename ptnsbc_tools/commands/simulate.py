@@ -12,9 +12,9 @@ from ptnsbc_tools.commands.check import preflight
 from ptnsbc_tools.options import (
     BagOption,
     FlightChoices,
-    JsonOption,
     OverwriteOption,
     PictureOption,
+    Showing,
     argument,
     option,
 )
@@ -35,7 +35,8 @@ def simulate(
     picture: PictureOption = None,
     bag: BagOption = None,
     overwrite: OverwriteOption = False,
-    json: JsonOption = False,
+    *,
+    showing: Showing,
 ) -> None:
     """Fly a scenario in this process, without ROS, and judge it."""
     from ptnsbc_sim.track import refuse_without_memory
@@ -60,7 +61,7 @@ def simulate(
     if picture is not None:
         format_of(picture)  # refused before the flight, not after it
     refuse_without_memory(chosen)  # the check of a flight of ages takes ages
-    preflight(chosen, quiet=json, refusing=sweep is None)
+    preflight(chosen, quiet=showing.json, refusing=sweep is None)
     if bag is not None:
         prepare_bag(bag, overwrite=overwrite)
 
@@ -71,5 +72,4 @@ def simulate(
     verdict = flight.verdict
     if picture is not None:
         flight.save_picture(picture)
-    show_verdict(verdict, json=json, bag=bag, picture=picture)
-    raise typer.Exit(verdict.exit_code)
+    raise typer.Exit(show_verdict(verdict, showing, bag=bag, picture=picture))

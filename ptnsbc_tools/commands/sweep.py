@@ -13,7 +13,15 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import LONGEST_S, MOST_RUNS
-from ptnsbc_tools.options import SWEEPS, Choices, JsonOption, argument, option, scenario_with
+from ptnsbc_tools.options import (
+    SWEEPS,
+    Choices,
+    JsonOption,
+    StrictOption,
+    argument,
+    option,
+    scenario_with,
+)
 
 if TYPE_CHECKING:
     from ptnsbc_sim.sweep.plan import SweepPlan
@@ -138,6 +146,7 @@ def sweep(
     overwrite: Annotated[
         bool, option("--overwrite", "Replace a sweep of another plan, or of other laws, in DIR.")
     ] = False,
+    strict: StrictOption = False,
     json: JsonOption = False,
     list_families: Annotated[
         bool,
@@ -164,7 +173,7 @@ def sweep(
     folder = out or SWEEPS / plan.name
     _clear(folder, plan, overwrite=overwrite)
     flown = _fly(plan, folder, workers, scheduler)
-    found = read_sweep(folder)
+    found = read_sweep(folder, strict=strict)
     page = None
     if report:
         from ptnsbc_tools.sweeps.sweep_report import write_report

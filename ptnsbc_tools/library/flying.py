@@ -131,12 +131,16 @@ def read_bag(
     return flight_in(Path(path), options)
 
 
-def verdict(flight: Flight, tolerance_m: float | None = None) -> Verdict:
+def verdict(flight: Flight, tolerance_m: float | None = None, *, strict: bool = False) -> Verdict:
     """The verdict on a flight, as `ptnsbc verify`; VerdictError when the recording cannot be judged.
 
-    `tolerance_m` limits the error at the deadline; by default as the flight says.
+    Args:
+        flight: the flight.
+        tolerance_m: limit of the error at the deadline; by default as the flight says.
+        strict: UAVs that gave way and came late have missed.
     """
-    return flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
+    judged = flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
+    return judged.strict() if strict else judged
 
 
 def fly_fleet(

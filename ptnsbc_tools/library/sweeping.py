@@ -215,9 +215,12 @@ def sweep(
         return Sweep(read_sweep(place))
 
 
-def open_sweep(folder: str | Path) -> Sweep:
-    """A sweep from its folder, as `ptnsbc sweep` wrote it; SweepError when it is none, or not complete."""
-    return Sweep(read_sweep(Path(folder)))
+def open_sweep(folder: str | Path, *, strict: bool = False) -> Sweep:
+    """A sweep from its folder, as `ptnsbc sweep` wrote it; SweepError when it is none, or not complete.
+
+    `strict`: UAVs that gave way and came late have missed.
+    """
+    return Sweep(read_sweep(Path(folder), strict=strict))
 
 
 def compare(

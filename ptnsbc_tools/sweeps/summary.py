@@ -22,7 +22,7 @@ from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE
-from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, VIOLATED
+from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
 from ptnsbc_tools.tables import word
 
 WIDE = 0.2
@@ -207,8 +207,11 @@ def plan_in(folder: Path) -> SweepPlan:
         raise SweepError(f"{path}: no plan of a sweep: {error}") from None
 
 
-def read_sweep(folder: Path) -> FlownSweep:
-    """A sweep from its folder; SweepError when it is none, or it is not complete."""
+def read_sweep(folder: Path, *, strict: bool = False) -> FlownSweep:
+    """A sweep from its folder; SweepError when it is none, or it is not complete.
+
+    `strict`: UAVs that gave way and came late have missed.
+    """
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
@@ -237,6 +240,8 @@ def read_sweep(folder: Path) -> FlownSweep:
     if not len(table):
         raise SweepError(f"{folder}: no draw could be flown: {lost[0][1]}")
     columns = {name: _column(name, table.column(name)) for name in table.column_names}
+    for name in ("verdict", "flight_verdict") if strict else ():
+        columns[name] = np.where(columns[name] == MET_LATE, MISSED, columns[name])
     return FlownSweep(plan, folder, FlightTable(columns), lost)
 
 

@@ -69,7 +69,7 @@ def test_deadline_below_what_the_speed_limit_allows() -> None:
     assert found.limit.startswith(">= 7.44 s, with 2.5 m/s")
     assert (
         found.value
-        == "5 s, too short for 5 of 5 UAVs; UAV 3 starts 7.97 m from its place and needs 7.44 s"
+        == "5 s, too short for 5 of 5 UAVs; UAV 3 has 7.97 m to fly to its place and needs 7.44 s"
     )
 
 

@@ -13,6 +13,7 @@ import pytest
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.commands import fleet
+from ptnsbc_tools.options import Showing
 
 needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
 RECORDED = {"messages": 900, "late": 0, "lost": 0}
@@ -137,7 +138,7 @@ def test_an_unreadable_bag_does_not_hide_the_flight(
     bag = tmp_path / "bag"
     bag.mkdir()
     result = flown(exit_code=ended, died=("recorder",), interrupted=ended == 130)
-    assert fleet._judge(bag, result, kept=bag, picture=None, json=True) == code
+    assert fleet._judge(bag, result, Showing(json=True), kept=bag, picture=None) == code
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
     how = "was interrupted" if ended == 130 else "is over"
@@ -191,4 +192,4 @@ def test_real_vehicles_do_not_arm_before_dry_runs(
     monkeypatch.setattr(fleet, "_fly", ends("flown"))
     with pytest.raises(EndedError, match=first):
         parts = fleet.Parts(backend=backend)
-        fleet.fly_and_judge(load_scenario("experiment_4"), parts, json=True, check=check)
+        fleet.fly_and_judge(load_scenario("experiment_4"), parts, Showing(json=True), check=check)
