@@ -316,7 +316,7 @@ AS_RECORDED = ReadOptions()
 
 @dataclass(frozen=True)
 class Showing:
-    """How a command shows its verdict."""
+    """The way in which a command shows its verdict."""
 
     verbose: VerboseOption = False
     strict: StrictOption = False

@@ -196,7 +196,7 @@ def _length(metres: float) -> str:
 
 
 def _who_came(leg: LegVerdict) -> str:
-    """How many UAVs were in place at the deadline of a leg, and why others came later."""
+    """The UAVs that were in place at the deadline of a leg, and why others came later, in words."""
     if leg.reason:
         return f"{leg.reason}."
     there, deadline_s = leg.in_place, leg.uavs[0].deadline_s

@@ -44,7 +44,8 @@ def test_a_flight_of_five_fits_on_a_screen(
     code = show_verdict(late, Showing(strict=strict))
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     assert code == int(strict)
-    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+    assert len(lines) <= 24
+    assert strict or max(map(len, lines)) <= 80  # a reason is one line, for grep
     assert any(line.endswith(state) for line in lines)
     assert any(line.startswith("UAV 4 and tree ") for line in lines)
 
