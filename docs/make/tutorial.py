@@ -12,6 +12,7 @@ COLUMNS = 80
 COMMANDS = {
     "help": ("--help",),
     "check": ("check", "paper_5", "-n", "5"),
+    "simulate": ("simulate", "paper_5", "--duration", "12"),
     "refused": ("check", "paper_5", "--set", "gains.formation.deadline_s=2"),
 }
 
