@@ -8,7 +8,7 @@
 | `plant` | four times in each physics substep, for every vehicle | the equations of motion of the quadrotor |
 | `disturbance` | at the start of every control period, for every vehicle | nothing: it is added to the others |
 | `sensor` | at every reading, for every vehicle | our near-object sensor |
-| `trajectory`, `shape` | once, when the scenario is read (`scenario/reading/functions.py`) | data of the scenario |
+| `trajectory`, `shape` | once, when the scenario is read (`scenario/reading/content.py`) | data of the scenario |
 
 A scenario names a plug-in as `FILE.py:NAME`, or as the name of an entry point `HOOK.NAME` in `ptnsbc.plugins`. It is a
 pure function of its inputs: it must not remember anything, and its random numbers are in its inputs.

@@ -53,17 +53,18 @@ def _repeated(keys: Iterable[Hashable]) -> Iterator[tuple[int, int]]:
 
 def _members(file: ScenarioFile) -> Problems:
     ids, links = file.uav_ids, file.communication
+    known = one_of(ids)
     for index, first in _repeated(ids):
         value = f"{ids[index]}: duplicate of uavs[{first}].id"
         yield Problem(f"uavs[{index}].id", value, "every UAV to have its own id")
-    named = [("leader.id", file.leader.id)]
-    named += [(f"tree.{edge[0]}", uav) for edge in links.tree.items() for uav in edge]
+    leader = file.leader.id
+    yield from unless(leader in ids, "leader.id", f"{leader}: no such UAV", known)
+    named = [(f"tree.{edge[0]}", uav) for edge in links.tree.items() for uav in edge]
     named += [(f"leader_links[{index}]", uav) for index, uav in enumerate(links.leader_links)]
     for index, edge in enumerate(links.estimator_edges):
         named += [(f"estimator_edges[{index}][{end}]", uav) for end, uav in enumerate(edge)]
     for key, uav in named:
-        where = key if key == "leader.id" else f"communication.{key}"
-        yield from unless(uav in ids, where, f"{uav}: no such UAV", one_of(ids))
+        yield from unless(uav in ids, f"communication.{key}", f"{uav}: no such UAV", known)
 
 
 def _links(file: ScenarioFile) -> Problems:
@@ -187,10 +188,10 @@ def _obstacles(file: ScenarioFile) -> Problems:
 
 def _formation(file: ScenarioFile) -> Problems:
     formation, key = file.formation, "formation.offsets_m"
+    known = one_of(file.followers, "followers")
     for uav in formation.offsets_m:
         if uav == file.leader.id:
             yield Problem(f"{key}.{uav}", "the leader has no offset from itself", "none")
-        known = one_of(file.followers, "followers")
         yield from unless(uav in file.followers, f"{key}.{uav}", "no such UAV", known)
     for uav in file.followers:
         given = uav in formation.offsets_m
