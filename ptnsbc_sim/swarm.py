@@ -20,11 +20,15 @@ from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
 from ptnsbc_sim.disturbances.build import (
     Disturbances,
     flight_disturbances,
-    sensor_noise_of,
     sensor_noise_samples,
 )
 from ptnsbc_sim.disturbances.links import last_received_by
-from ptnsbc_sim.disturbances.noise import add_sensor_noise, initial_error, measured_odometry
+from ptnsbc_sim.disturbances.noise import (
+    add_sensor_noise,
+    initial_error,
+    measured_odometry,
+    sensor_noise_of,
+)
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
 from ptnsbc_sim.plugins.loop import PluginLoop

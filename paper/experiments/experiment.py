@@ -15,8 +15,7 @@ from paper.figures import paths, style
 from paper.flights import JudgedFlight, fly_judged, scenario
 from paper.output import ExperimentFolder
 from paper.swept import SweepCase, swept_table
-from ptnsbc_sim.disturbances.build import position_noise_of
-from ptnsbc_sim.disturbances.noise import position_std_m
+from ptnsbc_sim.disturbances.noise import position_noise_of, position_std_m
 from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 
 _DRIFT = "they start tilted by 1 rad, as printed, and drift 0.6 m until they are level"

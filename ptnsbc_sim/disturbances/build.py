@@ -14,7 +14,6 @@ from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.disturbances.faults import add_jumps, gone, jumps_of
 from ptnsbc_sim.disturbances.links import last_received
 from ptnsbc_sim.disturbances.noise import (
-    EXACT,
     GUST_SAMPLES,
     POSITION_SAMPLES,
     SENSOR_SAMPLES,
@@ -23,34 +22,13 @@ from ptnsbc_sim.disturbances.noise import (
     SensorNoise,
     add_sensor_noise,
     gust_step,
-    gusts,
+    gusts_of,
     initial_error,
     measured_odometry,
-    position_noise,
+    position_noise_of,
+    sensor_noise_of,
 )
 from ptnsbc_sim.scenario import Scenario
-
-
-def position_noise_of(scenario: Scenario) -> PositionNoise:
-    """The navigation filter of every UAV."""
-    block = scenario.sensor.positioning
-    if block is None:
-        return EXACT
-    return position_noise(
-        float(block.noise_m),
-        float(block.acceleration_noise_m_s2),
-        float(block.rate_hz),
-        scenario.timing.control_hz // block.rate_hz,
-        round(block.latency_s * scenario.timing.control_hz),
-        round((block.latency_s - block.unknown_latency_s) * scenario.timing.control_hz),
-    )
-
-
-def gusts_of(scenario: Scenario) -> Gusts:
-    """The wind around every UAV."""
-    world, dt = scenario.world, seconds(scenario.timing.dt_ns)
-    mean = np.array(world.wind_m_s, dtype=np.float64)
-    return gusts(mean, np.array(world.gust_m_s), float(world.gust_time_s), dt)
 
 
 def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
@@ -61,11 +39,6 @@ def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
 
 def _sensor_sample_count(scenario: Scenario) -> int:
     return SENSOR_SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.world.bodies))
-
-
-def sensor_noise_of(scenario: Scenario) -> SensorNoise:
-    """The near-object sensor of every UAV."""
-    return SensorNoise(float(scenario.sensor.noise_m), float(scenario.sensor.velocity_noise_m_s))
 
 
 class Disturbances(NamedTuple):

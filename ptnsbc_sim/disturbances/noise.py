@@ -30,7 +30,9 @@ import numpy as np
 
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
+from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
 
 POSITION_SAMPLES = 6
 """Random numbers per tick: noise of the fix and error of the accelerometer."""
@@ -59,21 +61,20 @@ class PositionNoise(NamedTuple):
 EXACT = PositionNoise(0, 0, 0, 0.0, 0.0, 0.0, 0.0)
 
 
-def position_noise(
-    noise_m: float,
-    acceleration_noise_m_s2: float,
-    rate_hz: float,
-    period: int,
-    delay: int,
-    compensated: int,
-) -> PositionNoise:
-    """The estimator with the gains that are best for its noise (Kalata's tracking index)."""
-    index = acceleration_noise_m_s2 / (rate_hz * rate_hz * noise_m)
+def position_noise_of(scenario: Scenario) -> PositionNoise:
+    """The estimator of every UAV, with the gains that are best for its noise (Kalata's tracking index)."""
+    block, hz = scenario.sensor.positioning, scenario.timing.control_hz
+    if block is None:
+        return EXACT
+    noise_m, shake, rate_hz = block.noise_m, block.acceleration_noise_m_s2, float(block.rate_hz)
+    index = shake / (rate_hz * rate_hz * noise_m)
     root = (4.0 + index - math.sqrt(8.0 * index + index * index)) / 4.0
     alpha = 1.0 - root * root
     beta = 2.0 * (2.0 - alpha) - 4.0 * math.sqrt(1.0 - alpha)
+    compensated = round((block.latency_s - block.unknown_latency_s) * hz)
+    delay, period = round(block.latency_s * hz), hz // block.rate_hz
     return PositionNoise(
-        period, delay, compensated, noise_m, acceleration_noise_m_s2, alpha, beta * rate_hz
+        period, delay, compensated, float(noise_m), float(shake), alpha, beta * rate_hz
     )
 
 
@@ -151,7 +152,7 @@ def measured_odometry(
         truth: (13,) its true odometry vector.
         late: (3,) [m, ENU] where it was `delay` ticks ago.
         compensated_position: (3,) [m, ENU] where it was `compensated` ticks ago.
-        error: see `no_error`; changed in place.
+        error: see `initial_error`; changed in place.
         samples: (6,) standard normal numbers of this tick.
         tick: number of control periods flown.
         dt: control period [s].
@@ -187,6 +188,11 @@ class SensorNoise(NamedTuple):
 
     noise_m: float
     velocity_noise_m_s: float
+
+
+def sensor_noise_of(scenario: Scenario) -> SensorNoise:
+    """The near-object sensor of every UAV."""
+    return SensorNoise(float(scenario.sensor.noise_m), float(scenario.sensor.velocity_noise_m_s))
 
 
 @kernel
@@ -226,10 +232,12 @@ class Gusts(NamedTuple):
     innovation: float  # factor of the deviation for the new noise
 
 
-def gusts(mean: Array, deviation: Array, time_s: float, dt: float) -> Gusts:
-    """Wind of mean (3,) and standard deviation (3,) [m/s], correlated over `time_s`, in steps of dt [s]."""
-    decay = math.exp(-dt / time_s)
-    return Gusts(mean, np.asarray(deviation, np.float64), decay, math.sqrt(1.0 - decay * decay))
+def gusts_of(scenario: Scenario) -> Gusts:
+    """The wind around every UAV."""
+    world, dt = scenario.world, seconds(scenario.timing.dt_ns)
+    decay = math.exp(-dt / world.gust_time_s)
+    mean, deviation = np.array((world.wind_m_s, world.gust_m_s), dtype=np.float64)
+    return Gusts(mean, deviation, decay, math.sqrt(1.0 - decay * decay))
 
 
 @kernel

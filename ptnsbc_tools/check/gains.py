@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from ptnsbc_core.timebase import peak_gain
-from ptnsbc_sim.disturbances.build import position_noise_of
-from ptnsbc_sim.disturbances.noise import correction_std_m, position_std_m
+from ptnsbc_sim.disturbances.noise import correction_std_m, position_noise_of, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.deadline import (
     limits_left,

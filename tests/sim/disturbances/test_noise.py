@@ -6,16 +6,18 @@ import pytest
 from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
 from ptnsbc_sim.disturbances.noise import (
     EXACT,
+    Gusts,
     PositionNoise,
     SensorNoise,
     add_sensor_noise,
     gust_step,
-    gusts,
+    gusts_of,
     initial_error,
     measured_odometry,
-    position_noise,
+    position_noise_of,
     position_std_m,
 )
+from ptnsbc_sim.scenario import load_scenario
 
 HZ, DT = 100, 0.01
 NOISE, SHAKE, RATE = 0.02, 0.05, 10
@@ -36,7 +38,10 @@ def told(truth: np.ndarray, kind: PositionNoise, draws: np.ndarray) -> np.ndarra
 
 
 def kind_of(delay: int, known: int) -> PositionNoise:
-    return position_noise(NOISE, SHAKE, RATE, HZ // RATE, delay, known)
+    fixes = {"noise_m": NOISE, "rate_hz": RATE, "acceleration_noise_m_s2": SHAKE}
+    late = {"latency_s": delay / HZ, "unknown_latency_s": (delay - known) / HZ}
+    scenario = load_scenario("paper_5_free", {"sensor.positioning": {**fixes, **late}})
+    return position_noise_of(scenario)
 
 
 def moving(ticks: int, speed: np.ndarray) -> np.ndarray:
@@ -195,12 +200,19 @@ def test_noise_is_as_wide_as_asked_for_and_its_own_for_every_object() -> None:
 TIME = 2.0
 
 
+def kind_of_wind(mean: list[float], gust: list[float]) -> Gusts:
+    keys = {"world.wind_m_s": mean, "world.gust_m_s": gust, "world.gust_time_s": TIME}
+    return gusts_of(load_scenario("paper_5_free", keys))
+
+
+GUSTY = kind_of_wind([1.6, 1.2, 0.0], [0.7, 0.7, 0.0])
+
+
 def wind(ticks: int, seed: int = 1) -> np.ndarray:
-    kind = gusts(np.array([1.6, 1.2, 0.0]), np.array([0.7, 0.7, 0.0]), TIME, DT)
     draws = np.random.default_rng(seed).standard_normal((ticks, 3))
     gust, out = np.zeros(3), np.empty((ticks, 3))
     for tick in range(ticks):
-        gust_step(gust, out[tick], draws[tick], tick, kind)
+        gust_step(gust, out[tick], draws[tick], tick, GUSTY)
     return out
 
 
@@ -219,7 +231,6 @@ def test_stationary_from_the_first_tick() -> None:
 
 
 def test_none_is_the_mean_to_the_last_bit() -> None:
-    mean = np.array([2.0, -0.3, 0.1])
-    out = np.empty(3)
-    gust_step(np.zeros(3), out, np.ones(3), 0, gusts(mean, np.zeros(3), TIME, DT))
-    assert out.tobytes() == mean.tobytes()
+    mean, out = [2.0, -0.3, 0.1], np.empty(3)
+    gust_step(np.zeros(3), out, np.ones(3), 0, kind_of_wind(mean, [0.0, 0.0, 0.0]))
+    assert out.tolist() == mean
