@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_sim.verdict import Verdict
-from ptnsbc_sim.verdict.deadline import KEPT, MET, WORST_FIRST
+from ptnsbc_sim.verdict.deadline import KEPT, MET
 from ptnsbc_sim.verdict.encounters import listed
 from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.verdict import LegVerdict
@@ -31,7 +31,6 @@ _COLOURS = {
     "met late": "yellow",
     "met": "green",
 }
-_PAIRS = 3
 _NEAREST = 6
 _WIDTH = 80
 
@@ -62,10 +61,14 @@ _EFFORT: _Columns = (
 )
 _CHANGES: _Columns = (("due s", "due_s", 2), ("largest error m", "error_m", 4))
 _LEGS: _Columns = (("begins s", "begin_s", 2), *_CHANGES, ("of UAV", "uav", 0))
+_PLACE: _Columns = (
+    ("in place after s", "settling_s", 2),
+    ("worst after, m", "max_error_after_all_m", 3),
+)
 _SEPARATION: _Columns = (
-    ("closest m", "distance_m", 4),
+    ("closest m", "distance_m", 3),
+    ("to be kept m", "keep_out_m", 2),
     ("at s", "at_s", 2),
-    ("keep-out m", "keep_out_m", 2),
     ("inside s", "inside_s", 2),
 )
 
@@ -155,39 +158,34 @@ def mission_list(found: Mapping[str, Any]) -> Table:
 
 def _place_table(leg: LegVerdict) -> Table:
     """One row per UAV: when it was in place, how far off at the deadline and after it, and the verdict."""
-    heads = ("in place after s", f"at {leg.uavs[0].deadline_s:.4g} s, m", "worst after, m")
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    for head in ("UAV", *heads):
-        table.add_column(head, justify="right")
+    at_s = f"at {leg.uavs[0].deadline_s:.4g} s, m"
+    columns = (*_PLACE[:1], (at_s, "error_at_deadline_m", 3), *_PLACE[1:])
+    table = _table("", ("UAV",), columns)
     table.add_column("verdict", overflow="fold")
     for of in leg.uavs:
-        after_s = of.settling_s if of.arrived_s is None else of.arrived_s
-        errors = of.error_at_deadline_m, of.max_error_after_all_m
-        shown = ["-" if error is None else f"{error:.3f}" for error in errors]
-        state = word(of.verdict)
+        cells, state = _numbers(of, columns), word(of.verdict)
+        if of.arrived_s is not None:
+            cells[0] = f"{of.arrived_s:.2f}"
         if of.gave_way_to:
             state.append(f" ({listed(of.gave_way_to)})", style="default")
-        table.add_row(str(of.uav), "never" if after_s is None else f"{after_s:.2f}", *shown, state)
+        table.add_row(str(of.uav), *cells, state)
     return table
 
 
-def _distance_table(verdict: Verdict, most: int | None = None) -> Table:
-    """The closest pair of UAVs, and the closest UAV of each obstacle, beside what was to be kept."""
+def _separation_table(verdict: Verdict, most: int | None = None) -> Table:
+    """The closest pair of UAVs, the closest UAV of each obstacle, and all that were inside a keep-out."""
     uavs = {f"uav{of.uav}" for of in verdict.uavs}
     nearest: dict[str, Separation] = {}  # the tightest come first
     for pair in verdict.separations:
         nearest.setdefault("" if pair.second in uavs else pair.second, pair)
-    rows = sorted(nearest.items(), key=lambda row: row[0] != "")
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("nearest")
-    for head in ("m", "to be kept, m", "at s"):
-        table.add_column(head, justify="right")
-    for _, pair in rows[:most]:
-        cells = f"{pair.distance_m:.3f}", f"{pair.keep_out_m:.2f}", f"{pair.at_s:.2f}"
+    rows = sorted(nearest.values(), key=lambda pair: pair.second not in uavs)
+    rows += [pair for pair in verdict.separations if pair.entered and pair not in rows]
+    table = _table("Separation", ("pair",), _SEPARATION)
+    for pair in rows[:most]:
         style = "bold red" if pair.entered else ""
-        table.add_row(listed((pair.first, pair.second)), *cells, style=style)
+        table.add_row(listed((pair.first, pair.second)), *_numbers(pair, _SEPARATION), style=style)
     if (more := len(rows) - len(rows[:most])) > 0:
-        table.add_row(f"{console.counted(more, 'more obstacle')}: -v")
+        table.add_row(f"{more} more: -v")
     return table
 
 
@@ -195,7 +193,16 @@ def _length(metres: float) -> str:
     return f"{metres:.2f} m" if metres >= 0.1 else f"{1000.0 * metres:.2g} mm"
 
 
-def _who_came(leg: LegVerdict) -> str:
+def came_later(arrived_s: Sequence[float], gave_way_to: Iterable[str], uavs: Container[str]) -> str:
+    """UAVs that came later than the deadline, in words: to what or whom they gave way, and when the last one came."""
+    many = len(arrived_s) > 1
+    names = dict.fromkeys("each other" if many and to in uavs else to for to in gave_way_to)
+    who = "they" if many else "it"
+    why = f"{who} gave way to {listed(names)}" if names else "others came or went"
+    return f"{len(arrived_s)} later because {why}, the last at {max(arrived_s):.1f} s"
+
+
+def who_came(leg: LegVerdict) -> str:
     """The UAVs that were in place at the deadline of a leg, and why others came later, in words."""
     if leg.reason:
         return f"{leg.reason}."
@@ -205,27 +212,20 @@ def _who_came(leg: LegVerdict) -> str:
         worst = _length(max(errors, default=0.0))
         return f"In formation at {deadline_s:.4g} s: {there.count} of {there.of}, worst {worst}."
     text = f"{there.count} of {there.of} in place by {deadline_s:.4g} s"
-    arrived_s = [of.arrived_s for of in leg.uavs if of.arrived_s is not None]
-    if arrived_s:
+    late = [of for of in leg.uavs if of.arrived_s is not None]
+    if late:
         uavs = {f"uav{of.uav}" for of in leg.uavs}
-        names = dict.fromkeys(
-            "each other" if name in uavs and len(arrived_s) > 1 else name
-            for of in leg.uavs
-            if of.arrived_s is not None
-            for name in of.gave_way_to
-        )
-        who = "they" if len(arrived_s) > 1 else "it"
-        why = f"{who} gave way to {listed(names)}" if names else "others came or went"
-        text += f", {len(arrived_s)} later because {why}, the last at {max(arrived_s):.1f} s"
+        names = [name for of in late for name in of.gave_way_to]
+        text += f", {came_later([of.arrived_s or 0.0 for of in late], names, uavs)}"
     return f"{text}."
 
 
 def verdict_sentence(verdict: Verdict) -> Text:
     """The verdict in words: who was in place at the deadline and who came later, and how near UAVs came to what."""
     legs = verdict.legs
-    parts = [_who_came(legs[0])]
+    parts = [who_came(legs[0])]
     parts += [
-        f"Leg {leg.number}, from {leg.epoch_s - verdict.epoch_s:g} s: {_who_came(leg)}"
+        f"Leg {leg.number}, from {leg.epoch_s - verdict.epoch_s:g} s: {who_came(leg)}"
         for leg in legs[1:]
         if leg.verdict != MET
     ]
@@ -247,12 +247,23 @@ def verdict_sentence(verdict: Verdict) -> Text:
         parts.append(
             f"{count} gave way later, or followed one that did, and came back within {back_s:.1f} s."
         )
-    parts += [f"{loss}." for loss in _losses(verdict)]
+    if verdict.inside_keep_out_s:
+        parts.append(f"Inside keep-outs for {verdict.inside_keep_out_s:.2f} s.")
+    missing = sum(of.missing for of in verdict.uavs) + sum(of.missing for of in verdict.efforts)
+    if missing:
+        parts.append(f"{console.counted(missing, 'message')} missing.")
+    if verdict.missed_ticks:
+        parts.append(f"{console.counted(verdict.missed_ticks, 'tick')} missed.")
+    if verdict.latency_ms:
+        figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
+        parts.append(f"Latency {figures}.")
+    if verdict.judged_by == "truth":
+        parts.append("Judged by true positions.")
     return Text.assemble("Verdict: ", word(verdict.verdict), f". {' '.join(parts)}")
 
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
-    """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
+    """All tables of a verdict: deadlines, input, and the least distances."""
     tables = [deadline_table(verdict)]
     regained = [uav for uav in verdict.uavs if uav.regained_s is not None]
     if regained:
@@ -266,12 +277,7 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
         for one in verdict.efforts:
             effort.add_row(str(one.uav), *_numbers(one, _EFFORT))
     if verdict.separations:
-        tables.append(separation := _table("Separation", ("pair",), _SEPARATION))
-        for rank, pair in enumerate(verdict.separations):
-            if rank < _PAIRS or pair.entered:
-                colour = "bold red" if pair.entered else ""
-                cells = _numbers(pair, _SEPARATION)
-                separation.add_row(f"{pair.first} - {pair.second}", *cells, style=colour)
+        tables.append(_separation_table(verdict))
     return tables
 
 
@@ -295,36 +301,6 @@ def reasons(verdict: Verdict, *, all_of_them: bool = True) -> list[Text]:
     ]
 
 
-def _losses(verdict: Verdict) -> Iterator[str]:
-    missing = sum(of.missing for of in verdict.uavs) + sum(of.missing for of in verdict.efforts)
-    if missing:
-        yield f"{console.counted(missing, 'message')} missing"
-    if verdict.missed_ticks:
-        yield f"{console.counted(verdict.missed_ticks, 'tick')} missed"
-
-
-def verdict_line(verdict: Verdict) -> Text:
-    """The last line: the verdict in a sentence."""
-    judged = [one.verdict for leg in verdict.legs for one in leg.uavs]
-    counts = {kind: judged.count(kind) for kind in _COLOURS}
-    parts = [f"{counts[kind]} {kind}" for kind in reversed(WORST_FIRST) if counts[kind]]
-    tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
-    if len(verdict.legs) > 1:
-        tail += f" in {len(verdict.legs)} legs"
-    if verdict.judged_by == "truth":
-        tail += "; judged by true positions"
-    if any(pair.entered for pair in verdict.separations):
-        tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
-    excused = sum(one.excused_outside_s for leg in verdict.legs for one in leg.uavs)
-    if excused:
-        tail += f"; {excused:.2f} s outside the band excused near objects"
-    tail += "".join(f"; {loss}" for loss in _losses(verdict))
-    if verdict.latency_ms:
-        figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
-        tail += f"; latency {figures}"
-    return Text.assemble("Verdict: ", word(verdict.verdict), f" ({tail})")
-
-
 def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
     """Print the verdict, and return the exit code; `extra` goes into the JSON, and its paths below the tables."""
     verdict = verdict.strict() if showing.strict else verdict
@@ -339,15 +315,16 @@ def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
     for line in verdict_sentence(verdict).wrap(out, _WIDTH):
         out.print(line)
     tables = [_place_table(leg) for leg in verdict.legs if leg.uavs]
-    tables.append(_distance_table(verdict, None if showing.verbose else _NEAREST))
+    if verdict.separations and not showing.verbose:
+        tables.append(_separation_table(verdict, _NEAREST))
     for table in tables:
+        table.title, table.box, table.show_edge, table.pad_edge = None, SIMPLE_HEAD, False, False
         out.print("", table, sep="\n", width=min(out.width, _WIDTH))
     out.print()
     lines = reasons(verdict, all_of_them=showing.verbose)
     if showing.verbose:
         for table in verdict_tables(verdict):
             out.print(*console.narrowed(table, out), sep="\n")
-        lines.append(verdict_line(verdict))
     for line in lines:
         out.print(line, soft_wrap=True)
     for key, value in files.items():

@@ -12,6 +12,7 @@ from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.check.geometry import meetings
 from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.sweeps.summary import share
+from ptnsbc_tools.tables import came_later
 
 KEY = "dry run"
 _DEADLINE = "gains.formation.deadline_s"
@@ -73,14 +74,10 @@ def _in_place(scenario: Scenario, flight: DryFlight) -> str:
     by = f"by {scenario.gains.formation.deadline_s:g} s"
     if not flight.late:
         return f"{flight.in_place} of {len(scenario.uav_ids)} in place {by}"
-    last_s = max(row.arrived_s or 0.0 for row in flight.late)
-    names = dict.fromkeys(name for row in flight.late for name in row.gave_way_to.split(","))
+    names = [name for row in flight.late for name in row.gave_way_to.split(",") if name]
     uavs = {f"uav{uav}" for uav in scenario.uav_ids}
-    why = ", ".join(name for name in names if name and name not in uavs)
-    if uavs & names.keys():
-        why += ", and each other" if why else "each other"
-    why = f": {why}" if why else ""
-    return f"{flight.in_place} in place {by}, {len(flight.late)} later, the last at {last_s:.1f} s{why}"
+    came = came_later([row.arrived_s or 0.0 for row in flight.late], names, uavs)
+    return f"{flight.in_place} in place {by}, {came}"
 
 
 def plan(scenario: Scenario, found: Iterable[Finding], done: DryRun | None) -> dict[str, str]:

@@ -41,14 +41,14 @@ def _parts(result: Any) -> Iterable[Any]:
 
     match type(result).__name__:
         case "Verdict":
-            lines = [*tables.reasons(result), tables.verdict_line(result)]
+            lines = [*tables.reasons(result), tables.verdict_sentence(result)]
             return [*tables.verdict_tables(result), *lines]
         case "Flight":
             try:
                 verdict = result.verdict
             except PtnsbcError as error:
                 return [f"{result.scenario.name}: no verdict: {error}"]
-            return [tables.deadline_table(verdict), tables.verdict_line(verdict)]
+            return [tables.deadline_table(verdict), tables.verdict_sentence(verdict)]
         case "CheckReport":
             return overview.check_report(result, verbose=True)
         case "Sweep":

@@ -29,7 +29,7 @@ from ptnsbc_tools.plotting.charts import (
     errors,
     look,
 )
-from ptnsbc_tools.tables import verdict_line
+from ptnsbc_tools.tables import who_came
 
 FORMATS = (".png", ".svg", ".pdf")
 FROM_ABOVE = (0, 1)
@@ -331,7 +331,7 @@ def draw_flight(flight: FlightView, path: Path) -> Path:
         fontsize="small",
     )
     if flight.verdict is not None:
-        line = verdict_line(flight.verdict).plain.removeprefix("Verdict: ")
+        line = f"{flight.verdict.verdict}. {who_came(flight.verdict.legs[0])}"
         figure.suptitle(textwrap.fill(f"{scenario.name}: {line}", _TITLE))
     for view, axes in views.items():  # last: names need the layout
         draw_paths(axes, flight.recording, view=view, legend=False)

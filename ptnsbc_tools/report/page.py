@@ -39,7 +39,7 @@ from ptnsbc_tools.plotting.charts import (
     thin,
     timeline,
 )
-from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
+from ptnsbc_tools.tables import deadline_table, reasons, verdict_sentence, verdict_tables
 
 _FRAME_HZ = 25  # the script interpolates between frames
 _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
@@ -260,7 +260,7 @@ def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None 
     verdict, name = flight.verdict, flight.scenario.name
     line, why, deadlines, tables = f"No verdict: {flight.problem}", "", "", ""
     if verdict is not None:
-        line = verdict_line(verdict).plain.partition("(")[2].rstrip(")")
+        line = verdict_sentence(verdict).plain.partition(". ")[2]
         why = "".join(f"<li>{escape(one.plain)}</li>" for one in reasons(verdict))
         _, *others = verdict_tables(verdict)
         for leg in verdict.legs:

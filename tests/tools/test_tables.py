@@ -57,4 +57,3 @@ def test_all_figures_are_there_on_request(
     out = capsys.readouterr().out
     for title in ("settled s", "Way back after encounters", "Input", "Separation"):
         assert title in out
-    assert "Verdict: met late (deadline 5 s: 4 met, 1 met late; " in out

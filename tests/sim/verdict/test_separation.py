@@ -8,7 +8,7 @@ from synthetic_flights import verdict_of
 
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Recording, verdict_on
-from ptnsbc_tools.tables import verdict_line
+from ptnsbc_tools.tables import verdict_sentence
 
 Fly = Callable[..., Recording]
 
@@ -30,7 +30,7 @@ def test_a_keep_out_that_was_entered_is_violated(fly: Fly) -> None:
     assert [one.verdict for one in verdict.uavs] == ["met", "met", "violated", "violated", "met"]
     text = "0.400 m from uav4 at 2.00 s, inside the keep-out of 0.5 m for 1.00 s"
     assert verdict_of(verdict, 3).reason == text
-    assert "inside a keep-out for 1.00 s" in str(verdict_line(verdict))
+    assert "Inside keep-outs for 1.00 s." in str(verdict_sentence(verdict))
 
 
 def test_a_violated_uav_that_is_late_says_both(fly: Fly) -> None:

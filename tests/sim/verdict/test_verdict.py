@@ -16,7 +16,7 @@ from ptnsbc_sim.scenario.mission.legs import Word
 from ptnsbc_sim.verdict import Recording, Series, Verdict, VerdictError, verdict_on
 from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_sim.verdict.verdict import legs_without_deadline
-from ptnsbc_tools.tables import reasons, verdict_line
+from ptnsbc_tools.tables import reasons, verdict_sentence
 
 Fly = Callable[..., Recording]
 SECOND_S = 12.0
@@ -120,7 +120,7 @@ def test_both_legs_met(twice):
     assert (second.epoch_s, second.duration_s) == (12.0, pytest.approx(7.99))
     assert second.uavs[3].settling_s == pytest.approx(3.0)
     assert verdict.uavs == first.uavs
-    assert "10 met in 2 legs" in str(verdict_line(verdict))
+    assert "2 of 2 legs met." in str(verdict_sentence(verdict))
 
 
 def test_the_leader_follows_its_path_through_all_legs(twice):

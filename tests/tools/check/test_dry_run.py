@@ -73,7 +73,7 @@ def test_who_is_late_is_a_warning_and_stands_in_the_plan(say):
     assert (late.severity, late.value) == ("warning", "2 of 5 UAVs in place after the deadline")
     told = dry_run.plan(SCENARIO, [], DryRun((WAY,)))
     assert told["flown"] == (
-        "3 in place by 5 s, 2 later, the last at 9.1 s: boxA, and each other; "
+        "3 in place by 5 s, 2 later because they gave way to boxA and each other, the last at 9.1 s; "
         "least room 0.50 m beyond the keep-outs"
     )
 
