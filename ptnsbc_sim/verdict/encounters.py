@@ -203,7 +203,7 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
 
 
 class GaveWay(NamedTuple):
-    """Who gave way in an encounter, and to whom or what."""
+    """The UAV that gave way in an encounter, and to whom or what."""
 
     uav: int
     to: tuple[str, ...]  # uavN, or the name of an obstacle
@@ -221,7 +221,9 @@ def listed(names: Iterable[str]) -> str:
 
 
 def gave_way(recording: Recording, uav: int, encounter: Encounter, due_ns: int) -> GaveWay | None:
-    """Who gave way the longest before something was due, a UAV or one that it follows; None: others came or went.
+    """The one that gave way the longest before something was due: a UAV, or one that it follows.
+
+    None: others came or went.
 
     What was over so early that the way back was long enough does not count.
 

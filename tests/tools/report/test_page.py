@@ -174,7 +174,7 @@ def text(html: str) -> str:
 
 def test_the_verdict_is_on_top_and_plain(fly):
     read = text(made(fly(), mode="headless"))
-    assert read.index("Flight report") < read.index("5 met") < read.index("Deadline, UAV by UAV")
+    assert read.index("Flight report") < read.index("5 of 5") < read.index("Deadline, UAV by UAV")
     assert "flown headless" in read
     assert "Input" in read
     assert "Separation" in read
