@@ -20,6 +20,7 @@ SCHEMA = Path(scenario.__file__).with_name("scenario.schema.json")
 
 MOST = 254
 _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
+_WIDER, _LONGEST_WAY_M = 0.5, 4.0  # of the starts
 
 
 class NewScenarioError(PtnsbcError):
@@ -39,7 +40,11 @@ def text_of(
     places = SHAPES[shape](n, spacing_m)
     lowest = float(places[:, 2].min())
     height_m = _HEIGHT_M + max(-lowest - _HEIGHT_M + 2.0 * _START_M, 0.0)  # no place in the ground
-    starts = np.round(places + np.array([0.0, _RADIUS_M, _START_M - lowest]), 2) + 0.0
+    # Farther apart than the places: the formation is seen to form, and nobody crosses another's way.
+    farthest_m = float(np.linalg.norm(places, axis=1).max())
+    places = places * (1.0 + min(_WIDER, _LONGEST_WAY_M / farthest_m))
+    lift_m = _START_M - float(places[:, 2].min())
+    starts = np.round(places + np.array([0.0, _RADIUS_M, lift_m]), 2) + 0.0
     template = Template(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
     return template.substitute(
         # From the folder of the file, so that a clone of it finds the schema too.

@@ -53,8 +53,12 @@ def test_the_check_accepts_the_file(shape: str) -> None:
 
 
 def test_the_file_flies() -> None:
+    """The UAVs start about a metre and more from their places, and arrive."""
     made = scenario_from_text(text_of("mine", "v", 4)).with_({"timing.duration_s": 8})
-    assert check(made, dry_runs=1).ok
+    report = check(made, dry_runs=1)
+    assert report.ok and report.plan["flown"].startswith("4 of 4 in place by 6 s")
+    starts = [made.uav(uav).position - made.uav(1).position - made.offset(uav) for uav in (2, 3, 4)]
+    assert min(np.linalg.norm(starts, axis=1)) > 0.9
 
 
 @pytest.mark.parametrize(
