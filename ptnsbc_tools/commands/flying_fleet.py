@@ -6,7 +6,7 @@ import json as json_text
 import os
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -184,11 +184,8 @@ class Fault:
         return fault
 
 
-_OPTIONS = {
-    "uav": "--uav", "process": "--process", "duration_s": "--duration", "share": "--share",
-    "delay_s": "--delay", "offset_m": "--offset", "offset_s": "--clock", "charge": "--charge",
-}  # fmt: skip
-"""The option of each key of a fault."""
+_OPTIONS = {one.name: f"--{one.name.partition('_')[0]}" for one in fields(Fault)[1:]}
+_OPTIONS["offset_s"] = "--clock"
 
 
 def _in_options(problem: str) -> str:
