@@ -337,36 +337,32 @@ def scheduled_changes(
     """
     nothing = Change.model_construct(at_s=0.0, over_s=0.1)
     changes = [nothing] if moves_shape(mission) else []
-    for scheduled in legs:
+    for timed in legs:
         keys: dict[str, Any] = {}
-        if isinstance(scheduled.leg, TakeOffLeg):
+        leg, over_s = timed.leg, timed.due_s - timed.begin_s
+        if isinstance(leg, TakeOffLeg):
             keys = {"offsets_m": {uav: (x, y, 0.0) for uav, (x, y, _) in starts.items()}}
-        elif isinstance(scheduled.leg, FormLeg) and scheduled.number > FIRST:
-            keys = {"offsets_m": scheduled.leg.offsets_m}
-        elif isinstance(scheduled.leg, ChangeLeg):
-            keys = {key: getattr(scheduled.leg, key) for key in Reshaping.model_fields}
+        elif isinstance(leg, FormLeg) and timed.number > FIRST:
+            keys = {"offsets_m": leg.offsets_m}
+        elif isinstance(leg, ChangeLeg):
+            keys = {key: getattr(leg, key) for key in Reshaping.model_fields}
         if keys:
-            over_s = scheduled.due_s - scheduled.begin_s
-            changes.append(
-                Change.model_construct(**{**keys, "at_s": scheduled.begin_s, "over_s": over_s})
-            )
+            keys |= {"at_s": timed.begin_s, "over_s": over_s}
+            changes.append(Change.model_construct(**keys))
     return tuple(changes)
 
 
 def leader_legs(legs: Sequence[ScheduledLeg]) -> tuple[ScheduledLeg, ...]:
     """The legs that move the leader away from its first path. A leg of kind form after the first joins a trajectory."""
     moving = []
-    for scheduled in legs:
-        if (
-            isinstance(scheduled.leg, FormLeg)
-            and scheduled.number > FIRST
-            and scheduled.leg.trajectory is not None
-        ):
-            over_s = scheduled.due_s - scheduled.begin_s
-            leg = FollowLeg(kind="follow", over_s=over_s, trajectory=scheduled.leg.trajectory)
-            moving.append(scheduled._replace(leg=leg))
-        elif isinstance(scheduled.leg, TakeOffLeg | FollowLeg | GoToLeg | HoldLeg):
-            moving.append(scheduled)
+    for timed in legs:
+        leg = timed.leg
+        if isinstance(leg, FormLeg) and timed.number > FIRST and leg.trajectory is not None:
+            over_s = timed.due_s - timed.begin_s
+            follow = FollowLeg(kind="follow", over_s=over_s, trajectory=leg.trajectory)
+            moving.append(timed._replace(leg=follow))
+        elif isinstance(leg, TakeOffLeg | FollowLeg | GoToLeg | HoldLeg):
+            moving.append(timed)
     return tuple(moving)
 
 

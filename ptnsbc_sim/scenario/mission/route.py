@@ -91,18 +91,18 @@ def _spans(legs: Sequence[ScheduledLeg]) -> list[list[ScheduledLeg]]:
         ValueError: a leg that does not fit where it begins.
     """
     spans: list[list[ScheduledLeg]] = []
-    for scheduled in legs:
+    for timed in legs:
         apart = bool(spans) and not isinstance(spans[-1][-1].leg, JoinLeg)
-        if isinstance(scheduled.leg, SplitLeg):
+        if isinstance(timed.leg, SplitLeg):
             if apart:
-                raise ValueError(f"{scheduled.name}: expected a leg of kind join before it")
-            spans.append([scheduled])
-        elif isinstance(scheduled.leg, JoinLeg):
+                raise ValueError(f"{timed.name}: expected a leg of kind join before it")
+            spans.append([timed])
+        elif isinstance(timed.leg, JoinLeg):
             if not apart:
-                raise ValueError(f"{scheduled.name}: expected a leg of kind split before it")
-            spans[-1].append(scheduled)
-        elif scheduled.number == CANCEL and apart:
-            spans[-1].append(scheduled)
+                raise ValueError(f"{timed.name}: expected a leg of kind split before it")
+            spans[-1].append(timed)
+        elif timed.number == CANCEL and apart:
+            spans[-1].append(timed)
     return spans
 
 
@@ -159,17 +159,17 @@ def _refuse_many(knots: float) -> None:
         )
 
 
-def _flown(scheduled: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
+def _flown(timed: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
     """The knots of a leg that begins in a state (15,)."""
-    leg = scheduled.leg
+    leg = timed.leg
     if isinstance(leg, FollowLeg | SplitLeg):
-        joined = _follow(leg.trajectory, scheduled.begin_s, leg.over_s, until_s)
+        joined = _follow(leg.trajectory, timed.begin_s, leg.over_s, until_s)
         turn = _nearest_turn(joined[0].state[YAW], now[YAW])
         for knot in joined:
             knot.state[YAW] += turn
         return joined
     rest = np.zeros(15)
-    rest[0:3] = now[0:3] + 0.5 * (scheduled.due_s - scheduled.begin_s) * now[3:6]
+    rest[0:3] = now[0:3] + 0.5 * (timed.due_s - timed.begin_s) * now[3:6]
     rest[YAW] = now[YAW]
     if isinstance(leg, TakeOffLeg):
         rest[2] = leg.height_m
@@ -177,7 +177,7 @@ def _flown(scheduled: ScheduledLeg, now: Array, until_s: float) -> list[_Knot]:
         rest[0:3] = leg.position_m
         if leg.yaw_rad is not None:
             rest[YAW] = leg.yaw_rad + _nearest_turn(leg.yaw_rad, now[YAW])
-    return [_Knot(scheduled.due_s, rest, 4)]
+    return [_Knot(timed.due_s, rest, 4)]
 
 
 def _nearest_turn(angle: float, to: float) -> float:
