@@ -21,8 +21,10 @@ import gc
 import math
 import operator
 import os
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from types import FunctionType
 from typing import Any
@@ -117,6 +119,16 @@ class _WholeKernel(CPUDispatcher):
         return types.Dispatcher(self._part)
 
     def compile(self, sig: Any) -> Any:
+        """As numba's, beside the main thread, which hears Ctrl-C: LLVM does not return for seconds."""
+        if threading.current_thread() is not threading.main_thread():
+            return self._compile_here(sig)
+        compiler = ThreadPoolExecutor(1)
+        try:
+            return compiler.submit(self._compile_here, sig).result()
+        finally:
+            compiler.shutdown(wait=False)
+
+    def _compile_here(self, sig: Any) -> Any:
         """As numba's, without collections of garbage: they would go through millions of objects that stay."""
         collects = gc.isenabled()
         gc.disable()

@@ -25,6 +25,9 @@ COMPILED: bool = (
 _parts: list[tuple[str, Callable[..., Any]]] = []
 """Laws that numba has to know before it compiles a kernel that calls them, and how."""
 
+LAWS: list[Callable[..., Any]] = []
+"""Laws of the loaded modules that numba compiles as functions: a flight uses nearly all of them."""
+
 
 def compiler() -> ModuleType:
     """The module `compiler`, which knows all laws that are imported."""
@@ -56,22 +59,16 @@ class Kernel(Generic[P, R]):
         """The law at these arguments."""
         return cast(R, self.dispatcher(*arguments, **named))
 
-    def prepared(self, *arguments: Any) -> Callable[P, R]:
-        """The law for arguments of these types, which no call checks: to find them out can take longer than a step."""
-        from numba import typeof
-
-        kinds = tuple(typeof(argument) for argument in arguments)
-        self.dispatcher.compile(kinds)
-        return cast(Callable[P, R], self.dispatcher.overloads[kinds].entry_point)
-
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law as a kernel: scalars, tuples, float64 arrays and NamedTuples in and out, no I/O, no globals."""
+    LAWS.append(law)
     return Kernel(law) if COMPILED else law
 
 
 def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law that kernels contain wherever they call it. Python calls the law itself, which nothing compiles."""
+    LAWS.append(law)
     _parts.append(("inline", law))
     return law
 
@@ -86,8 +83,14 @@ def formula(law: Callable[P, R]) -> Callable[P, R]:
 
 
 def prepared(law: Callable[P, R], *arguments: Any) -> Callable[P, R]:
-    """The kernel `law` for arguments of the types of `arguments`, which no call checks."""
-    return law.prepared(*arguments) if isinstance(law, Kernel) else law
+    """The kernel `law` for arguments of these types, which no call checks: that can take longer than a step."""
+    if not isinstance(law, Kernel):
+        return law
+    from numba import typeof
+
+    kinds = tuple(typeof(argument) for argument in arguments)
+    law.dispatcher.compile(kinds)
+    return cast(Callable[P, R], law.dispatcher.overloads[kinds].entry_point)
 
 
 def by_reference(value: T) -> T:

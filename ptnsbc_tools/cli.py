@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from typing import Annotated, Any
@@ -214,7 +215,13 @@ def main() -> None:
     """Run the command line; `ptnsbc_tools.__main__` is the entry point."""
     exit_on_signal(_INTERRUPTED, "interrupted")
     one_thread(os.environ)
-    app(prog_name="ptnsbc")
+    try:
+        app(prog_name="ptnsbc")
+    except SystemExit as end:
+        if end.code == _INTERRUPTED and threading.active_count() > 1:
+            sys.stdout.flush()
+            os._exit(_INTERRUPTED)  # Python would wait for a law that is still compiled
+        raise
 
 
 if __name__ == "__main__":

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.status import Status
     from rich.table import Table
 
 _PATIENCE_S = 2.0
-COMPILING = "compiling the laws (once; then read from the cache)"
+COMPILING = "compiling the laws (once)"
 _FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
 
@@ -118,35 +117,40 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Around the first use of the laws: says on stderr that they are compiled when it takes longer than a moment."""
-    from ptnsbc_core.kernel import COMPILED
+    """Around the first use of the laws: progress on stderr when they are compiled and it takes longer than a moment.
+
+    A function takes three quarters of its time when it is translated, and the last one when its kernel is optimised.
+    """
+    from ptnsbc_core.kernel import COMPILED, LAWS
 
     if not COMPILED:  # interpreted
         yield
         return
     from numba.core import event
 
-    begin_s, compiled, status = time.monotonic(), 0, ExitStack()
-    shown: Status | None = None
+    begin_s, begun, depth, optimised = time.monotonic(), 0, 0, 0
+    advance: Advance | None = None
 
     class Watch(event.Listener):
         def on_start(self, event: Any) -> None:
-            nonlocal compiled, shown
-            compiled += 1
-            passed_s = time.monotonic() - begin_s
-            if passed_s < _PATIENCE_S:
-                return
-            say_once(COMPILING)
-            if sys.stderr.isatty():
-                name = event.data["dispatcher"].py_func.__name__
-                line = f"compiling: {passed_s:.0f} s, {compiled} functions, now {name}"
-                shown = shown or status.enter_context(err().status(line))
-                shown.update(line)
+            nonlocal begun, depth
+            begun, depth = begun + 1, depth + 1
+            self.show()
 
         def on_end(self, event: Any) -> None:
-            pass
+            nonlocal depth, optimised
+            depth -= 1
+            optimised = optimised if depth else begun
+            self.show()
 
-    with status, event.install_listener("numba:compile", Watch()):
+        def show(self) -> None:
+            nonlocal advance
+            if advance is None and time.monotonic() - begin_s > _PATIENCE_S:
+                advance = shown.enter_context(progress(COMPILING))
+            if advance is not None:
+                advance(3 * begun + optimised, 4 * max(len(LAWS), begun))
+
+    with ExitStack() as shown, event.install_listener("numba:compile", Watch()):
         yield
 
 
@@ -162,12 +166,6 @@ def patience(line: str) -> Iterator[None]:
         timer.cancel()
 
 
-@cache
-def say_once(line: str) -> None:
-    """A line on stderr, and not again: the check and the flight may both have to compile."""
-    say(line)
-
-
 @contextmanager
 def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
     """Progress on stderr: a bar on a terminal, else a line every few seconds; None: only where somebody looks."""
@@ -177,13 +175,16 @@ def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
         yield lambda done, total: None
         return
     if not sys.stderr.isatty():
-        shown_s = time.monotonic()
+        begin_s = shown_s = time.monotonic()
+        at_first: int | None = None
 
         def advance(done: int, total: int, /) -> None:  # a line every few seconds
-            nonlocal shown_s
-            if time.monotonic() - shown_s > _PATIENCE_S:
-                shown_s = time.monotonic()
-                say(f"{label}: {100 * done // max(total, 1)} %")
+            nonlocal shown_s, at_first
+            at_first, now_s = done if at_first is None else at_first, time.monotonic()
+            if now_s - shown_s > _PATIENCE_S:
+                shown_s, steps = now_s, done - at_first
+                left = f", {(now_s - begin_s) * (total - done) / steps:.0f} s left" if steps else ""
+                say(f"{label}: {100 * done // max(total, 1)} %{left}")
 
         yield advance
         return

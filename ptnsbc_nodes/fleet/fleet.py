@@ -45,7 +45,7 @@ from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.fault_rules import PROCESS
 
-__all__ = ["FleetError", "FleetOptions", "FleetResult", "chosen", "run_fleet"]
+__all__ = ["FleetError", "FleetOptions", "FleetResult", "chosen", "prepare", "run_fleet"]
 
 _DIED, _INTERRUPTED = 1, 130
 _EPOCH_S = 0.5  # from the call of the leader to the epoch
@@ -81,9 +81,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         FleetError: the options do not go together, or the fleet does not get ready.
         BagError: the bag cannot take the place of what is there.
     """
-    if options.bag is not None:
-        check_replaceable(options.bag, overwrite=options.overwrite)
-    check_options(options)
+    prepare(options)
     secured = options.scenario.security == "required"
     if secured:
         os.environ.update(enforced(os.environ))
@@ -92,13 +90,6 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
     scenario_file.write_text(options.scenario.text, encoding="utf-8")
-    # Once: otherwise a dozen processes would compile them side by side.
-    progress("preparing the laws (compiled at first use, then read from the cache)")
-    load_fleet(options.scenario)
-    for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
-        UavPlugins.of(options.scenario, uav)
-    if options.backend == "sim":
-        load_world(options.scenario)
     processes = commands(options, scenario_file)
     # With this launcher. Where other computers fly the rest, there is a launcher for each process at most.
     everywhere = 2 * len(names(options.scenario, options.backend))
@@ -124,6 +115,18 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         )
         crew = Crew(settings, log_dir, node.lifecycle)
         return _fly(Launch(options, crew, node, stop, progress), processes)
+
+
+def prepare(options: FleetOptions) -> None:
+    """Check the options, and compile or load the laws: a dozen processes would compile them side by side."""
+    if options.bag is not None:
+        check_replaceable(options.bag, overwrite=options.overwrite)
+    check_options(options)
+    load_fleet(options.scenario)
+    for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
+        UavPlugins.of(options.scenario, uav)
+    if options.backend == "sim":
+        load_world(options.scenario)
 
 
 def _fly(launch: Launch, processes: Sequence[ProcessCommand]) -> FleetResult:

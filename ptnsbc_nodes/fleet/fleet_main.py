@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
@@ -41,16 +42,7 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
     if arguments.backend == "mavlink":
         scenario = scenario.bridged()
-    names = (
-        "lockstep",
-        "backend",
-        "allow_arming",
-        "bag",
-        "overwrite",
-        "processes",
-        "wait",
-        "log_dir",
-    )
+    names = {field.name for field in fields(FleetOptions)} & vars(arguments).keys() - {"scenario"}
     options = FleetOptions(scenario, **{name: getattr(arguments, name) for name in names})
     result = run_fleet(options, _say)
     end = "interrupted" if result.interrupted else "landed"

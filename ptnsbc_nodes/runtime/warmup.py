@@ -27,9 +27,8 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     else:
         guided = scenario.law is not None and uav_id != scenario.leader.id
         agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
-    Agent.resumed(
-        config, agent.state
-    )  # the step log reads the state, and the next leg goes on from it
+    # The step log reads the state, and the next leg goes on from it.
+    Agent.resumed(config, agent.state)
 
 
 def load_fleet(scenario: Scenario) -> None:

@@ -233,7 +233,7 @@ def _objection(scenario: Scenario) -> str:
 
 
 def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
-    from ptnsbc_nodes.fleet.fleet import run_fleet
+    from ptnsbc_nodes.fleet.fleet import prepare, run_fleet
     from ptnsbc_tools.live.dashboard import Dashboard, viewer_process
 
     views, terminal = views or Views(plain=True), sys.stdout.isatty() and sys.stderr.isatty()
@@ -246,6 +246,8 @@ def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
         viewer = partial(viewer_process, words, request.scenario, dashboard, say)
         request = replace(request, beside=viewer)
     try:
+        with console.compiling():
+            prepare(request)
         with dashboard or nullcontext():
             return run_fleet(request, say)
     finally:

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 from rich.table import Table
 
+from ptnsbc_core.compile_cache import CacheFolder
 from ptnsbc_tools import console
 
 
@@ -34,17 +42,59 @@ def test_a_table_that_fits_is_left_alone() -> None:
     assert console.narrowed(table, console.recording(io.StringIO(), 200)) == [table]
 
 
-def test_a_compilation_is_said_once_and_nothing_else_is(
+def test_a_compilation_shows_its_share_and_nothing_else_is_one(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A long look at the disk, or laws that are compiled already, are none."""
     numba = pytest.importorskip("numba")
     monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
-    console.say_once.cache_clear()
     with console.compiling():
         pass
     assert capsys.readouterr().err == ""
     for _ in range(2):
         with console.compiling():
             numba.njit(lambda x: x + 1.0)(1.0)
-    assert capsys.readouterr().err == f"{console.COMPILING}\n"
+        lines = capsys.readouterr().err.splitlines()
+        assert lines and all(re.match(rf"{re.escape(console.COMPILING)}: \d+ %", x) for x in lines)
+
+
+TELLS_OPTIMISING = """
+import sys
+from ptnsbc_core.compiler import _Whole
+optimise = _Whole._optimize_final_module
+def told(library):
+    print("optimising", library.name, file=sys.stderr, flush=True)
+    optimise(library)
+_Whole._optimize_final_module = told
+from ptnsbc_tools.cli import main
+sys.argv[1:] = ["simulate", "paper_5", "--duration", "1"]
+main()
+"""
+
+
+@pytest.mark.slow
+def test_a_law_that_is_compiled_does_not_hold_up_an_interrupt(tmp_path: Path) -> None:
+    """LLVM does not return for seconds; the process ends at once, and what is in the cache is whole."""
+    command = [sys.executable, "-c", TELLS_OPTIMISING]
+    environment = {**os.environ, "PTNSBC_CACHE_DIR": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert any(line.startswith("optimising _fly") for line in process.stderr)
+        time.sleep(0.2)
+        spent_s = processor_s(process.pid)
+        process.send_signal(signal.SIGINT)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        assert process.stderr.read().endswith("interrupted\n")
+    assert process.returncode == 130
+    assert usage.ru_utime + usage.ru_stime - spent_s < 2.0  # of the 6 that LLVM takes
+    (folder,) = tmp_path.iterdir()
+    assert {path.suffix for path in folder.iterdir()} == {".kernel"}
+    cache = CacheFolder(tmp_path, folder.name)
+    assert all(cache.read(path.name) for path in folder.iterdir())
+
+
+def processor_s(pid: int) -> float:
+    """Seconds of a processor that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
