@@ -97,7 +97,7 @@ def _cache() -> Findings:
     value = f"{root}: {compiled} laws compiled" if compiled else f"{root}: nothing compiled yet"
     advice = "" if writable else "set PTNSBC_CACHE_DIR: the laws are compiled at every start"
     if writable and not compiled:
-        advice = "the first flight takes a minute more"
+        advice = "the first flight takes half a minute more"
     yield Finding(WARNING if not writable else INFO, "cache", value, "a writable folder", advice)
 
 

@@ -73,7 +73,7 @@ def check(
 def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None = None) -> Flight:
     """Fly a scenario in this process, as `ptnsbc simulate`; the same scenario gives the same bytes.
 
-    The first flight after an installation compiles the laws, which takes a minute or more.
+    The first flight after an installation compiles the laws, which takes some 25 s.
 
     Args:
         scenario: what to fly.
@@ -94,7 +94,7 @@ def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None =
     from ptnsbc_sim.verdict.recording import recording_of
 
     one_tick = {"timing.duration_s": 1 / scenario.timing.control_hz}
-    with console.compiling():  # the flight's own progress would stand still for a minute
+    with console.compiling():  # the flight's own progress would stand still
         fly_headless(scenario.with_(one_tick))
     with console.progress("flying", progress) as advance:
         headless = fly_headless(scenario, advance)
