@@ -215,8 +215,11 @@ def test_a_low_battery_lands_this_vehicle():
     assert "battery at 1" in uav.bridge.procedure.fault
 
 
+HIGH = {"leader.trajectory.centre_m": [0, 0, 8], "mavlink.takeoff_height_m": 3.0}
+
+
 def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
-    fleet = MavlinkFleet(scenario(**{"mavlink.takeoff_height_m": 3.0}), count=1)
+    fleet = MavlinkFleet(scenario(**HIGH), count=1)
     fleet.airborne()
     uav = fleet.uavs[1]
     uav.bridge.stream.guard.high[2] = 5.0  # the leader's path is at 8 m
@@ -236,7 +239,7 @@ def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
 
 def test_by_attitude_a_vehicle_at_the_fence_is_held_at_the_nearest_place_inside():
     """A wrench cannot be cut down: outside, or soon there, a position inside the fence takes its place."""
-    made = scenario(setpoint="attitude", **{"mavlink.takeoff_height_m": 3.0})
+    made = scenario(setpoint="attitude", **HIGH)
     fleet = MavlinkFleet(made, gnss="perfect", count=1)
     uav = fleet.airborne().uavs[1]
     uav.bridge.stream.guard.high[2] = 4.0  # the leader's path is at 8 m
