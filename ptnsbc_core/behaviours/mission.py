@@ -1,4 +1,4 @@
-"""What a UAV does beside the formation law: lead along the trajectory, keep its attitude, hold, or land.
+"""Motion beside the formation law: lead along the trajectory, keep the attitude, hold, or land.
 
 The paper does not give these laws.
 """
