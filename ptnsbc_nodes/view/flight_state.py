@@ -12,7 +12,7 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import seconds
-from ptnsbc_core.types import MODE_FORMATION, Array
+from ptnsbc_core.types import MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
@@ -95,7 +95,9 @@ class FlightState:
                 left_s = float(self.scenario.gains.formation.deadline_s) - since_s
         states = self._states.at(self.stamp_ns)
         places = {uav: state[:3] for uav, state in states.items()}
-        goals = self._goals(places, t)
+        # Where UAVs hold or land nobody has a place in the formation.
+        goals = self._goals(places, t) if left_s is not None else {}
+        self.processes.landing = leg is not None and leg.mode == MODE_LAND
         return {
             "t": _rounded(t),
             "leg": leg.name if leg is not None else "waiting",
@@ -177,6 +179,7 @@ class ProcessReports:
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self.over = False  # the launcher has ended the flight
+        self.landing = False  # who has landed ends
         self._clock_s = clock_s
         self._heard: dict[str, dict[str, tuple[float, DiagnosticStatus]]] = {}  # by process, name
         self._lost: set[str] = set()
@@ -201,7 +204,7 @@ class ProcessReports:
         vehicle = next((s.values for s in bridge if "armed" in s.values), {})
         battery = vehicle.get("battery_percent", "")
         return {
-            "lost": f"uav{uav}" in self._lost,
+            "lost": f"uav{uav}" in self._lost and not self.landing,
             "mode": next((s.values["mode"] for s in planner if "mode" in s.values), None),
             "vehicle": vehicle.get("mode") or None,
             "step": vehicle.get("step") or None,
@@ -223,7 +226,8 @@ class ProcessReports:
 
     def _level(self, name: str) -> dict[str, Any]:
         if name in self._lost:
-            return {"level": _SILENT_LEVEL, "word": "has ended", "silent": True}
+            level = 0 if self.landing else _SILENT_LEVEL
+            return {"level": level, "word": "has ended", "silent": True}
         reports = self._heard[name].values()
         newest_s, status = max(reports, key=lambda report: (report[0], report[1].level))
         silent_s = self._clock_s() - newest_s

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -37,6 +36,7 @@ from ptnsbc_tools.options import (
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult
     from ptnsbc_sim.scenario import Scenario
+    from ptnsbc_tools.live.dashboard import Viewer
 
 _DEMO = "paper_5"
 _NO_VERDICT = 1
@@ -190,28 +190,30 @@ def fly_and_judge(
         # After the dry runs from the positions of the file, those from the measured ones.
         _refuse_dry_runs(scenario)
         request = replace(request, objection=_objection)
-    if not request.leads:  # the host with the recorder shows the verdict
-        flown = _fly(request, views, showing.json)
-        for line in _losses(flown, leads=False):
-            console.say(line)
-        end = f"over after {flown.flight_s:.1f} s"
-        console.say(f"{end}; the verdict is on the host with the recorder")
-        if showing.json:
-            facts = _fleet_facts(flown)
-            del facts["recorded"]
-            console.print_json({"fleet": facts})
-        return flown.exit_code
     with ExitStack() as stack:
+        viewer = _viewer(request, views, showing.json)
+        stack.callback(viewer.end)
+        if not request.leads:  # the host with the recorder shows the verdict
+            flown = _fly(request, viewer)
+            for line in _losses(flown, leads=False):
+                console.say(line)
+            end = f"over after {flown.flight_s:.1f} s"
+            console.say(f"{end}; the verdict is on the host with the recorder")
+            if showing.json:
+                facts = _fleet_facts(flown)
+                del facts["recorded"]
+                console.print_json({"fleet": facts})
+            return flown.exit_code
         if request.bag is None:  # the verdict is read from a bag
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
             request = replace(request, bag=Path(folder) / "bag")
-        flown = _fly(request, views, showing.json)
+        flown = _fly(request, viewer)
         for line in _losses(flown):
             console.say(line)
         assert request.bag is not None
         if flown.interrupted and not request.bag.exists():
             return flown.exit_code
-        return _judge(request.bag, flown, showing, kept=parts.bag, picture=picture)
+        return _judge(request.bag, flown, showing, viewer, kept=parts.bag, picture=picture)
 
 
 def _refuse_dry_runs(scenario: Scenario) -> None:
@@ -232,24 +234,27 @@ def _objection(scenario: Scenario) -> str:
     return ""
 
 
-def _fly(request: FleetOptions, views: Views | None, json: bool) -> FleetResult:
-    from ptnsbc_nodes.fleet.fleet import prepare, run_fleet
-    from ptnsbc_tools.live.dashboard import Dashboard, viewer_process
+def _viewer(request: FleetOptions, views: Views | None, json: bool) -> Viewer:
+    """The view of the flight; it begins with the flight when one is asked for."""
+    from ptnsbc_tools.live.dashboard import Dashboard, Viewer
 
     views, terminal = views or Views(plain=True), sys.stdout.isatty() and sys.stderr.isatty()
     dashboard = Dashboard() if terminal and not (views.plain or json) else None
-    say = console.say if dashboard is None else dashboard.say
-    if views.view or views.foxglove is not None or dashboard is not None:
-        words = ["--namespace", request.namespace] if request.namespace else []
-        words += [] if views.view else ["--no-page"]
-        words += [] if views.foxglove is None else ["--foxglove", str(views.foxglove)]
-        viewer = partial(viewer_process, words, request.scenario, dashboard, say)
-        request = replace(request, beside=viewer)
+    words = ["--namespace", request.namespace] if request.namespace else []
+    words += [] if views.view else ["--no-page"]
+    words += [] if views.foxglove is None else ["--foxglove", str(views.foxglove)]
+    wanted = views.view or views.foxglove is not None or dashboard is not None
+    return Viewer(words if wanted else None, request.scenario, dashboard)
+
+
+def _fly(request: FleetOptions, viewer: Viewer) -> FleetResult:
+    from ptnsbc_nodes.fleet.fleet import prepare, run_fleet
+
     try:
         with console.compiling():
             prepare(request)
-        with dashboard or nullcontext():
-            return run_fleet(request, say)
+        with viewer.dashboard or nullcontext():
+            return run_fleet(replace(request, beside=viewer.beside), viewer.say)
     finally:
         restore_handlers()
 
@@ -295,11 +300,17 @@ def _losses(flown: FleetResult, *, leads: bool = True) -> Iterator[str]:
 
 
 def _judge(
-    bag: Path, flown: FleetResult, showing: Showing, *, kept: Path | None, picture: Path | None
+    bag: Path,
+    flown: FleetResult,
+    showing: Showing,
+    viewer: Viewer,
+    *,
+    kept: Path | None,
+    picture: Path | None,
 ) -> int:
     """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
     from ptnsbc_tools.library.flight import flight_in
-    from ptnsbc_tools.tables import show_verdict
+    from ptnsbc_tools.tables import show_verdict, verdict_sentence
 
     facts = _fleet_facts(flown)
     try:
@@ -318,4 +329,6 @@ def _judge(
     if picture is not None:
         flight.save_picture(picture)
     code = show_verdict(verdict, showing, bag=kept, fleet=facts, picture=picture)
+    line = verdict_sentence(verdict).plain.removeprefix(f"Verdict: {verdict.verdict}. ")
+    viewer.end({"verdict": verdict.verdict, "line": line, "bag": str(bag), "kept": bool(kept)})
     return flown.exit_code or code

@@ -271,7 +271,7 @@ def view(
             "Show nothing: exit with 1 when one of these processes (uav3,sim) is silent or reports an error.",
         ),
     ] = "",
-    frames: Annotated[bool, option("--frames", "", hidden=True)] = False,
+    launched: Annotated[bool, option("--launched", "", hidden=True)] = False,
     page: Annotated[bool, option("--page/--no-page", "", hidden=True)] = True,
 ) -> None:
     """Show a flying fleet live, on a page and in the terminal.
@@ -283,13 +283,13 @@ def view(
     if healthy:
         raise typer.Exit(_health(number, namespace, healthy.split(",")))
     with ros.required():
-        from ptnsbc_tools.live.watch import frames_on_stdout, watch
+        from ptnsbc_tools.live.watch import watch, words_on_stdin, write_frame
     from ptnsbc_tools.live.dashboard import Dashboard
 
     flown = None if scenario is None else scenario_with(scenario, {})
     look = partial(watch, number, namespace, flown, port=port if page else None, foxglove=foxglove)
-    if frames:
-        look(console.say, frames_on_stdout)
+    if launched:
+        look(console.say, lambda _: write_frame, next_word=words_on_stdin())
     elif plain or not sys.stdout.isatty():
         look(console.say)
     else:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ from ptnsbc_tools import console
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from ptnsbc_tools.live.watch import Sink
 
 _REFRESH_HZ = 4
 _MOST_FAULTS = 5
@@ -25,7 +24,11 @@ _NAME = 5  # letters of the nearest thing
 _WAITS = "step, or what it waits for"
 _LEAST = {"error m": 9, "height m": 8, "speed m/s": 9, "nearest m": 9 + _NAME}  # widths
 
-_END_S = 5.0
+_END_S = 30.0  # for the report of a page that is open
+Sink = Callable[[dict[str, Any]], None]
+"""Takes every frame (`FlightState.frame`)."""
+OVER = "over\n"
+"""Told to the viewer when the fleet has ended."""
 _ADDRESS = ("live view: ", "Foxglove: ")
 
 
@@ -154,58 +157,70 @@ def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-@contextmanager
-def viewer_process(
-    arguments: Sequence[str],
-    scenario: Scenario,
-    dashboard: Dashboard | None,
-    say: Callable[[str], None],
-    settings: Mapping[str, str],
-    scenario_file: Path,
-) -> Iterator[None]:
-    """Inside the `with` a process of `ptnsbc view` shows the flight; its frames go into the dashboard.
+class Viewer:
+    """The process of `ptnsbc view` beside a flight; it ends with the verdict on its page."""
 
-    `settings` and `scenario_file` are those of `FleetOptions.beside`.
-    """
-    command = [sys.executable, "-m", "ptnsbc_tools", "view", str(scenario_file), "--plain"]
-    command += ["--domain", settings["ROS_DOMAIN_ID"], *arguments]
-    command += [] if dashboard is None else ["--frames"]
-    process = subprocess.Popen(
-        command,
-        env=dict(settings),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C is for the launcher
-    )
+    def __init__(
+        self, arguments: Sequence[str] | None, scenario: Scenario, dashboard: Dashboard | None
+    ) -> None:
+        """`arguments` of the command; None: nothing begins."""
+        self.dashboard = dashboard
+        self.say = console.say if dashboard is None else dashboard.say
+        self._arguments, self._scenario = arguments, scenario
+        self._process: subprocess.Popen[str] | None = None
 
-    def pass_frames() -> None:
-        show = None if dashboard is None else dashboard.sink(scenario)
-        for line in process.stdout or ():
-            if show is not None:
-                show(json.loads(line))
+    @contextmanager
+    def beside(self, settings: Mapping[str, str], scenario_file: Path) -> Iterator[None]:
+        """Begin (`FleetOptions.beside`); after the flight it goes on until `end`."""
+        if self._arguments is None:
+            yield
+            return
+        command = [sys.executable, "-m", "ptnsbc_tools", "view", str(scenario_file), "--plain"]
+        command += ["--domain", settings["ROS_DOMAIN_ID"], *self._arguments, "--launched"]
+        self._process = process = subprocess.Popen(
+            command,
+            env=dict(settings),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for the launcher
+        )
 
-    def pass_lines() -> None:
-        """All lines into the log of the viewer; those for people to the terminal as well."""
-        with scenario_file.with_name("view.log").open("w") as file:
-            for line in process.stderr or ():
-                file.write(line)
-                file.flush()
-                if line.startswith(_ADDRESS) or "error: " in line:
-                    say(line.rstrip())
+        def pass_frames() -> None:
+            show = None if self.dashboard is None else self.dashboard.sink(self._scenario)
+            for line in process.stdout or ():
+                if show is not None:
+                    show(json.loads(line))
 
-    readers = [threading.Thread(target=read, daemon=True) for read in (pass_frames, pass_lines)]
-    for reader in readers:
-        reader.start()
-    try:
-        yield
-    finally:
-        process.terminate()
+        def pass_lines() -> None:
+            """All lines into the log of the viewer; those for people to the terminal as well."""
+            with scenario_file.with_name("view.log").open("w") as file:
+                for line in process.stderr or ():
+                    file.write(line)
+                    file.flush()
+                    if line.startswith(_ADDRESS) or "error: " in line:
+                        self.say(line.rstrip())
+
+        for read in (pass_frames, pass_lines):
+            threading.Thread(target=read, daemon=True).start()
         try:
-            process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for reader in readers:
-            reader.join()
+            yield
+        finally:
+            self._tell(OVER)
+
+    def _tell(self, line: str) -> None:
+        with suppress(OSError):  # it may have ended by itself
+            if self._process is not None and self._process.stdin is not None:
+                self._process.stdin.write(line)
+                self._process.stdin.flush()
+
+    def end(self, last: Mapping[str, Any] | None = None) -> None:
+        """Give it the last word, see `watch.show_end`, and wait until it has ended."""
+        self._tell("\n" if last is None else json.dumps(last) + "\n")
+        if self._process is not None:
+            try:
+                self._process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()

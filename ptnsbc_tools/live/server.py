@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import hmac
 import json
+import math
 import queue
 import secrets
 import threading
+import time
 from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.resources import files
@@ -36,11 +38,14 @@ _SPACING_S = 0.1
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
 HOST = "127.0.0.1"
-ORDERS = ("hold", "land", "stop")
-"""The orders that a page may give; each is confirmed there."""
+STOPS = {"stop": ("stop",), "motors": ("stop", "--kill")}
+ORDERS = ("hold", "land", *STOPS)
+"""The orders that a page may give; each is confirmed there. Those of STOPS are commands of ptnsbc."""
 _MOST_PAGES = 16
 _LARGEST_ORDER = 1024  # bytes
 _LOOK_S = 0.2
+_LOADING_S = 3.0  # from a page to its socket
+_LAST_S, _SETTLE_S = 5.0, 0.05  # for what pages have not got yet
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src ws://{host}"
@@ -74,6 +79,7 @@ class Feed:
         self._frame = ""
         self._number = 0  # of frames and answers
         self._answers: list[tuple[int, str]] = []
+        self._ended_at: int | None = None  # the number before the end of the flight
 
     def set_stage(self, stage: dict[str, Any]) -> None:
         """Begin anew with another stage; what was flown so far stays."""
@@ -90,11 +96,13 @@ class Feed:
             self._keep(frame)
             self._changed.notify_all()
 
-    def answer(self, text: str) -> None:
-        """A line for the people at the pages: what has become of an order."""
+    def tell(self, kind: str, **keys: Any) -> None:
+        """A message for all pages that are open: what has become of an order, or of the flight."""
         with self._changed:
+            if kind == "end":  # a page that comes later gets it too
+                self._ended_at = self._number
             self._number += 1
-            answer = self._number, _text({"kind": "said", "text": text})
+            answer = self._number, _text({"kind": kind, **keys})
             self._answers = [*self._answers[-20:], answer]
             self._changed.notify_all()
 
@@ -102,7 +110,8 @@ class Feed:
         """Number and version of now, and the message with which a page begins: the stage and the flight so far."""
         with self._changed:
             message = {"kind": "stage", "stage": self._stage, "rows": self._rows}
-            return self._number, self._versions, _text(message)
+            number = self._number if self._ended_at is None else self._ended_at
+            return number, self._versions, _text(message)
 
     def after(self, number: int, version: int, patience_s: float) -> tuple[int, list[str]] | None:
         """The messages after `number`, waiting so long for one; None when the page is to begin anew."""
@@ -160,6 +169,7 @@ class LiveServer:
         self.token = secrets.token_urlsafe(18)
         self._feed, self._page = feed, page
         self._pages = threading.BoundedSemaphore(_MOST_PAGES)
+        self._loading_s = -math.inf  # until when a page that was asked for may open its socket
         self._ended = threading.Event()
         try:
             self._server = serve(
@@ -186,8 +196,19 @@ class LiveServer:
         self._thread.start()
         return self
 
+    @property
+    def looked_at(self) -> bool:
+        """True while a page is open, or is being opened."""
+        return bool(self._server.connections) or time.monotonic() < self._loading_s
+
     def __exit__(self, *_: object) -> None:
+        """End once every page has got what there is."""
+        limit_s = time.monotonic() + _LAST_S
+        while not self._server.connections and self.looked_at:
+            time.sleep(_SETTLE_S)
         self._ended.set()
+        while self._server.connections and time.monotonic() < limit_s:
+            time.sleep(_SETTLE_S)
         self._server.shutdown()
         self._thread.join()
 
@@ -210,6 +231,7 @@ class LiveServer:
             return None
         if address.path != "/":
             return connection.respond(404, "expected /\n")
+        self._loading_s = time.monotonic() + _LOADING_S
         body = self._page().encode()
         about = {
             "Content-Length": str(len(body)),
@@ -221,9 +243,10 @@ class LiveServer:
         if not self._pages.acquire(blocking=False):
             connection.close(1013, f"more than {_MOST_PAGES} pages")
             return
+        self._loading_s = -math.inf
         try:
-            news = None
-            while not self._ended.is_set():
+            news, last = None, False
+            while True:
                 if news is None:
                     number, version, text = self._feed.begin()
                     messages = [text]
@@ -232,6 +255,9 @@ class LiveServer:
                 for message in messages:
                     connection.send(message)
                 self._take_orders(connection)
+                if last:
+                    break
+                last = self._ended.is_set()  # before the last look: it misses nothing
                 news = self._feed.after(number, version, _LOOK_S)
         except ConnectionClosed:
             pass

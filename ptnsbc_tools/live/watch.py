@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import queue
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
@@ -16,7 +18,9 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_tools.live.server import Feed, FoxgloveSink, LiveServer, live_page
+from ptnsbc_tools.library.reporting import report
+from ptnsbc_tools.live.dashboard import OVER, Sink
+from ptnsbc_tools.live.server import STOPS, Feed, FoxgloveSink, LiveServer, live_page
 from ptnsbc_tools.plotting.charts import COLOURS, DARK_COLOURS
 from ptnsbc_tools.report.page import obstacles_of, uav_of
 
@@ -55,10 +59,6 @@ def stage(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-Sink = Callable[[dict[str, Any]], None]
-"""Takes every frame (`FlightState.frame`)."""
-
-
 def watch(
     domain: int,
     namespace: str,
@@ -68,10 +68,12 @@ def watch(
     *,
     port: int | None = 0,
     foxglove: int | None = None,
+    next_word: Callable[[], str | None] = lambda: None,
 ) -> None:
     """Look at a fleet until SIGINT or SIGTERM, on a page and for Foxglove, each on a port of its own if it has one.
 
-    Without a `scenario` a UAV says what is flown; `sink_of` makes a further receiver of its frames.
+    Without a `scenario` a UAV says what is flown; `sink_of` makes a further receiver of its frames. `next_word` of a
+    launcher is OVER when the fleet has ended, and the last one ends the view: see `show_end`.
     """
     with StopRequest() as stop, ExitStack() as stack:
         observer = stack.enter_context(Observer(domain, namespace))
@@ -87,8 +89,8 @@ def watch(
         if foxglove is not None:
             sinks.append(stack.enter_context(FoxgloveSink(scenario, foxglove)))
             say(f"Foxglove: open a connection to ws://127.0.0.1:{foxglove}")
-        shown = 0
-        while not stop.came:
+        shown, last = 0, None
+        while not stop.came and last is None:
             observer.spin(1.0 / FRAMES_HZ)
             if state.flown_anew != shown:
                 shown = state.flown_anew
@@ -97,27 +99,51 @@ def watch(
             for sink in sinks:
                 sink(frame)
             while server is not None and not server.orders.empty():
-                feed.answer(_obey(server.orders.get(), observer, domain, namespace))
+                feed.tell("said", text=_obey(server.orders.get(), observer, domain, namespace))
+            last = next_word()
+            if last == OVER:
+                state.processes.over, last = True, None
+        if server is not None and last and last.strip():
+            show_end(feed, json.loads(last), reported=server.looked_at)
+
+
+def show_end(feed: Feed, last: dict[str, Any], *, reported: bool) -> None:
+    """Show `verdict` and `line` of a flight that is over and, if `reported`, the report of `bag`; is it `kept`?"""
+    feed.tell("end", verdict=last["verdict"], line=last["line"])
+    if reported:
+        page = report(last["bag"], pictures=False, progress=False).page
+        path = str(page.resolve()) if last["kept"] else ""
+        feed.tell("report", page=page.read_text("utf-8"), path=path)
 
 
 def _obey(order: str, observer: Observer, domain: int, namespace: str) -> str:
     """Give an order to the fleet; what has become of it, in a line."""
-    if order != "stop":
+    words = STOPS.get(order)
+    if words is None:
         refusal = observer.call(order)
         return f"{order}: {refusal or 'the leader has announced it'}"
-    command = [sys.executable, "-m", "ptnsbc_tools", "stop", "--domain", str(domain)]
+    command = [sys.executable, "-m", "ptnsbc_tools", *words, "--domain", str(domain)]
     command += ["--namespace", namespace] if namespace else []
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_STOP_S)
     except subprocess.TimeoutExpired:
-        return f"stop: no answer in {_STOP_S:g} s"
-    return "stop: " + "; ".join(done.stderr.split("\n")).strip("; ")
+        return f"{' '.join(words)}: no answer in {_STOP_S:g} s"
+    return f"{' '.join(words)}: " + "; ".join(done.stderr.split("\n")).strip("; ")
 
 
-def frames_on_stdout(_scenario: Scenario) -> Sink:
-    """Every frame as a line of JSON, for the dashboard of the launcher."""
+def write_frame(frame: dict[str, Any]) -> None:
+    """Write a frame as a line of JSON, for the dashboard of the launcher."""
+    print(json.dumps(frame, allow_nan=False, separators=(",", ":")), flush=True)
 
-    def write(frame: dict[str, Any]) -> None:
-        print(json.dumps(frame, allow_nan=False, separators=(",", ":")), flush=True)
 
-    return write
+def words_on_stdin() -> Callable[[], str | None]:
+    """The next line on stdin, empty when stdin has ended; None before it is there."""
+    words: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            words.put(line)
+        words.put("")
+
+    threading.Thread(target=read, daemon=True).start()
+    return lambda: None if words.empty() else words.get()

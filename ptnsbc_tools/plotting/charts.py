@@ -23,6 +23,7 @@ from ptnsbc_sim.verdict.encounters import Window, encounters, merged, rising
 from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import FORMATION, seconds_since, tolerance_of
+from ptnsbc_sim.verdict.track import lengths
 from ptnsbc_sim.verdict.verdict import legs_without_deadline
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 
@@ -131,35 +132,33 @@ class Points(NamedTuple):
     values: Array  # (P,)
 
 
-class Thinner:
-    """Reduces a curve of `total` samples, which arrives block by block, to the extremes of each of many spans.
-
-    A span that has NaN or infinity in it keeps the first of these too, so that a gap stays a gap.
-    """
-
-    def __init__(self, total: int, points: int = _POINTS) -> None:
-        spans = max((points - 2) // 3, 1)  # three points of each, and both ends
-        self._span = 1 if total <= points else -(-total // spans)
-        self._parts: list[Points] = []
-
-    def add(self, t: Array, values: Array) -> None:
-        """Take the next samples (T,) [s] and (T,), ascending."""
-        if self._span > 1 and t.size:
-            kept = _extremes(values, self._span)
-            t, values = t[kept], values[kept]
-        self._parts.append(Points(t, values))
-
-    def points(self) -> Points:
-        """The points that are kept."""
-        t, values = zip(*self._parts, strict=True)
-        return Points(np.concatenate(t), np.concatenate(values))
-
-
 def thin(t: Array, values: Array, points: int) -> Points:
-    """At most `points` points of a curve (T,) [s] and (T,), see `Thinner`."""
-    thinner = Thinner(t.size, points)
-    thinner.add(t, values)
-    return thinner.points()
+    """At most `points` points of a curve (T,) [s] and (T,), see `thinned`."""
+    return thinned(t.size, [(t, {0: values})], points)[0]
+
+
+_Key = TypeVar("_Key")
+
+
+def thinned(
+    total: int, blocks: Iterable[tuple[Array, Mapping[_Key, Array]]], points: int = _POINTS
+) -> dict[_Key, Points]:
+    """Curves of `total` samples, which arrive block by block, reduced to the extremes of each of many spans.
+
+    A block is times (T,) [s], ascending, and values (T,) of each curve. A span that has NaN or infinity in it keeps the
+    first of these too, so that a gap stays a gap.
+    """
+    spans = max((points - 2) // 3, 1)  # three points of each, and both ends
+    span = 1 if total <= points else -(-total // spans)
+    parts = defaultdict[_Key, list[Points]](list)
+    for t, values in blocks:
+        for key, of_key in values.items():
+            kept = _extremes(of_key, span) if span > 1 and t.size else slice(None)
+            parts[key].append(Points(t[kept], of_key[kept]))
+    return {
+        key: Points(*map(np.concatenate, zip(*pieces, strict=True)))
+        for key, pieces in parts.items()
+    }
 
 
 def _extremes(values: Array, span: int) -> NDArray[np.int64]:
@@ -179,20 +178,6 @@ def _extremes(values: Array, span: int) -> NDArray[np.int64]:
         [0, values.size - 1],
     ]
     return np.unique(np.concatenate(kept).astype(np.int64))
-
-
-_Key = TypeVar("_Key")
-
-
-def _thinned(
-    total: int, blocks: Iterable[tuple[Array, Mapping[_Key, Array]]]
-) -> dict[_Key, Points]:
-    """The curves of `total` samples that arrive as blocks: times (T,) [s], and values (T,) of each."""
-    thinners = defaultdict[_Key, Thinner](lambda: Thinner(total))
-    for t, values in blocks:
-        for key, of_key in values.items():
-            thinners[key].add(t, of_key)
-    return {key: thinner.points() for key, thinner in thinners.items()}
 
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
@@ -316,7 +301,7 @@ def _samples(
         return None
     blocks = track.blocks(begin, end)
     sizes = ((flight.times(block.t_ns), {0: size(block.values)}) for block in blocks)
-    return _thinned(end - begin, sizes)[0]
+    return thinned(end - begin, sizes)[0]
 
 
 def _only(rows: Array) -> Array:
@@ -347,7 +332,7 @@ def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
     blocks = ((flight.times(one.stamps), formation_errors(leg, one)) for one in leg.blocks())
     try:
-        return _thinned(leg.samples, blocks)
+        return thinned(leg.samples, blocks)
     except VerdictError:
         return {}
 
@@ -475,7 +460,7 @@ def between(flight: FlightView) -> Chart | None:
             least |= {uav: np.fmin(least.get(uav, distance), distance) for uav in pair}
         return least
 
-    points = _thinned(flight.samples, ((t, nearest(places)) for t, places in _positions(flight)))
+    points = thinned(flight.samples, ((t, nearest(places)) for t, places in _positions(flight)))
     curves = [_curve_of(flight, uav, *points[uav]) for uav in flight.uavs if uav in points]
     keep_outs = {flight.scenario.keep_out_between(*pair) for pair in pairs}
     note = "Of each UAV, to the nearest other one."
@@ -494,7 +479,7 @@ def obstacles(flight: FlightView) -> Chart | None:
         }
 
     blocks = ((t, nearest(t, list(places.values()))) for t, places in _positions(flight))
-    points = _thinned(flight.samples, blocks)
+    points = thinned(flight.samples, blocks)
     curves = [Curve(bodies[k].name, look(k), *of_body, ()) for k, of_body in points.items()]
     radii = (float(body.keep_out_m) for body in bodies)
     note = "Of the nearest UAV: from the centre of a sphere, from the surface of all others."
@@ -506,17 +491,13 @@ def obstacles(flight: FlightView) -> Chart | None:
 
 def force(flight: FlightView) -> Chart | None:
     """The size of the commanded force."""
-    curves = _curves_of(
-        flight, flight.recording.wrench, lambda rows: np.linalg.norm(rows[:, :3], axis=1)
-    )
+    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, :3]))
     return _chart("force", "Input: force", "N", curves, limits=_force_limits(flight))
 
 
 def torque(flight: FlightView) -> Chart | None:
     """The size of the commanded torque."""
-    curves = _curves_of(
-        flight, flight.recording.wrench, lambda rows: np.linalg.norm(rows[:, 3:], axis=1)
-    )
+    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, 3:]))
     return _chart("torque", "Input: torque", "N m", curves)
 
 
@@ -551,7 +532,7 @@ def estimator(flight: FlightView) -> Chart | None:
         }
 
     blocks = ((flight.times(grid), errors_at(grid)) for grid in flight.grids())
-    points = _thinned(flight.samples, blocks)
+    points = thinned(flight.samples, blocks)
     curves = [_curve_of(flight, uav, *of_uav) for uav, of_uav in points.items()]
     deadline = flight.scenario.gains.estimator.deadline_s
     marks = (Mark(deadline, f"its deadline {deadline:g} s"),)
@@ -620,7 +601,4 @@ CHARTS: dict[str, Callable[[FlightView], Chart | None]] = {
 
 def charts(flight: FlightView) -> Iterator[Chart]:
     """All figures for which data is recorded."""
-    for key in CHARTS:
-        chart = flight.chart(key)
-        if chart is not None:
-            yield chart
+    return (chart for key in CHARTS if (chart := flight.chart(key)) is not None)

@@ -163,12 +163,10 @@ def figure_of(chart: Chart, heading: str, columns: str | None = None) -> Any:
     figure = blank_figure((size[0], size[1] + _ROW_IN * rows))
     axes = figure.add_subplot()
     draw_chart(axes, chart)
-    if columns is None:
-        axes.set_title(f"{heading}: {chart.title}", fontsize="medium")
-        if chart.note:
-            figure.supxlabel(chart.note, fontsize="x-small", x=0.01, ha="left")
-    else:
-        axes.set_title("")
+    title, note = (f"{heading}: {chart.title}", chart.note) if columns is None else ("", "")
+    axes.set_title(title, fontsize="medium")
+    if note:
+        figure.supxlabel(note, fontsize="x-small", x=0.01, ha="left")
     return figure
 
 

@@ -27,7 +27,8 @@ from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
-from ptnsbc_sim.verdict import Series, Track
+from ptnsbc_sim.verdict import Track
+from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools.plotting.charts import (
     COLOURS,
     DARK_COLOURS,
@@ -50,7 +51,7 @@ _OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that move
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
 _NO_VERDICT = "none"
-_WORDS = ("met", "missed", "violated", "void", "error", "warning")
+_WORDS = (*WORST_FIRST, "error", "warning")
 
 
 class Pack:
@@ -96,22 +97,13 @@ def content(flight: FlightView, other: FlightView | None = None) -> str:
 
 
 def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
-    """Position and quaternion (F, 7) of one UAV."""
-    poses_of_blocks = []
-    before, done = Series(np.empty(0, np.int64), np.empty((0, 7))), 0
-    for block in odometry.blocks():
-        poses = np.concatenate((before.values, block.values[:, :7]))
-        # The mean of q and -q is zero: the signs of the quaternions do not change.
-        turns = poses[:, 3:]
-        flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
-        turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
-        near = Series(np.concatenate((before.t_ns, block.t_ns)), poses)
-        last = block.last_ns == odometry.last_ns
-        until = stamps.size if last else int(np.searchsorted(stamps, block.last_ns, side="right"))
-        if until > done:
-            poses_of_blocks.append(near.at(stamps[done:until]))
-        before, done = near.rows(near.size - 1, near.size), until
-    return np.concatenate(poses_of_blocks)
+    """Position and quaternion (F, 7) of one UAV; the signs of the quaternions do not change."""
+    told = np.concatenate([block.t_ns for block in odometry.blocks()])
+    # As it was told: the mean of q and -q is zero.
+    turns = odometry.at(told[np.maximum(np.searchsorted(told, stamps, "right") - 1, 0)])[:, 3:7]
+    flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
+    turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return np.concatenate((odometry.at(stamps)[:, :3], turns), axis=1)
 
 
 def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:

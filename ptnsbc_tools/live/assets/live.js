@@ -2,10 +2,12 @@
 
 const AGAIN_MS = [500, 1000, 2000, 4000]; // until the next attempt to connect
 const REFRESH_MS = 500; // of the figure
+const STILL = 0.05; // [m/s]
 const ORDERS = {
   hold: "All UAVs hold where they are. Hold?",
-  land: "All UAVs leave the formation and land. Land?",
-  stop: "All UAVs land at once, where they are, as by ptnsbc stop. Stop?",
+  land: "The leader ends the formation, and all UAVs land. End flight?",
+  stop: "Every vehicle lands where it is, as by ptnsbc stop. Land all?",
+  motors: "All motors stop at once, in the air too. VEHICLES FALL. As by ptnsbc stop --kill. Stop all motors?",
 };
 
 /** The flight so far: like Motion, and it grows. */
@@ -108,6 +110,7 @@ class LivePage extends Page {
   }
 
   frame(frame) {
+    if (this.ended) return; // it shows the verdict
     const known = frame.t !== null && frame.uavs.every((uav) => uav.pose);
     if (known) {
       for (const uav of frame.uavs) if (uav.beside) this.motion.beside_now.set(uav.id, uav.beside);
@@ -121,6 +124,25 @@ class LivePage extends Page {
     }
     this.board.show(frame);
     this.words(frame);
+    this.over = frame.over;
+  }
+
+  /** The flight is over: the page stays, with the verdict. */
+  end({ verdict, line }) {
+    this.ended = true;
+    byId("state").className = `verdict ${verdict}`;
+    byId("countdown").textContent = verdict;
+    byId("line").textContent = line;
+    byId("faults").replaceChildren();
+    for (const button of document.querySelectorAll("[data-order]")) button.disabled = true;
+    this.figures.refresh();
+  }
+
+  /** The report is in the page: its link works without the server. */
+  report({ page, path }) {
+    byId("report").hidden = false;
+    byId("report").querySelector("a").href = URL.createObjectURL(new Blob([page], { type: "text/html" }));
+    byId("report").querySelector("span").textContent = path && `It is in ${path}.`;
   }
 
   /** The deadline of each leg in formation. */
@@ -141,22 +163,28 @@ class LivePage extends Page {
     const worst = errors.length ? Math.max(...errors) : null;
     const inside = worst !== null && worst <= tolerance;
     const lost = frame.uavs.some((uav) => uav.lost);
-    let countdown = frame.leg;
+    const landing = frame.leg === "land";
+    let countdown = landing ? "landing" : frame.leg;
     if (frame.left_s !== null) {
       countdown = frame.left_s > 0 ? `${frame.left_s.toFixed(1)} s to the deadline` : `deadline ${(-frame.left_s).toFixed(1)} s ago`;
     }
     set("countdown", frame.over ? "over" : countdown);
     let word = worst === null ? "Waiting for the states of all UAVs." : `Largest error ${worst.toFixed(3)} m, tolerance ${tolerance} m.`;
     if (frame.leg === "waiting") word = "The flight has not begun.";
-    if (frame.over) word = `The flight is over. ${word}`;
+    if (landing) {
+      const sinking = frame.uavs.filter((uav) => uav.speed > STILL).length;
+      const highest = Math.max(...frame.uavs.map((uav) => (uav.pose ? uav.pose[2] : 0)));
+      word = `${sinking} of ${frame.uavs.length} still descend, the highest is at ${highest.toFixed(1)} m.`;
+    } else if (frame.leg === "hold") word = "All UAVs hold where they are.";
+    if (frame.over) word = "The flight is over; the verdict comes when the recording is judged.";
     set("line", word);
     const late = frame.left_s !== null && frame.left_s <= 0;
-    byId("state").className = `verdict ${lost || (late && !inside) ? "missed" : inside ? "met" : "void"}`;
-    const faults = frame.processes.filter((one) => one.level > 0).slice(0, 6).map(({ name, word, level }) =>
+    byId("state").className = `verdict ${landing || frame.leg === "hold" ? "plain" : lost || (late && !inside) ? "missed" : inside ? "met" : "void"}`;
+    const faults = frame.processes.filter((one) => one.level > (landing ? 1 : 0)).slice(0, 6).map(({ name, word, level }) =>
       Object.assign(document.createElement("li"), { textContent: `${name}: ${word}`, className: level > 1 ? "error" : "warning" }));
     byId("faults").replaceChildren(...faults);
     for (const button of document.querySelectorAll("[data-order]")) {
-      button.disabled = frame.over || (frame.leg === "waiting" && button.dataset.order !== "stop");
+      button.disabled = frame.over || (frame.leg === "waiting" && !button.classList.contains("stop"));
     }
     this.processes(frame.processes);
   }
@@ -186,7 +214,7 @@ class Board {
     this.page = page;
     this.rows = page.data.space.uavs.map((uav) => {
       const row = byId("board").insertRow();
-      const cells = ["number flying", "number", "number flying", "number flying", "mode", "number", "before", "before"];
+      const cells = ["mode", "number", "before", "before", "number flying", "number", "number flying", "number flying"];
       row.innerHTML = UAV_CELL + cells.map((kind) => `<td class="${kind}"></td>`).join("");
       const button = uavButton(page, row, uav);
       return { uav, row, button, cells: [...row.cells].slice(1) };
@@ -204,9 +232,10 @@ class Board {
     frame.uavs.forEach((uav, k) => {
       const { row, cells } = this.rows[k];
       const near = uav.near && uav.near.distance !== null ? `${uav.near.distance.toFixed(2)} ·${uav.near.name.replace("UAV ", "")}` : "–";
-      const mode = [uav.lost ? "lost" : uav.mode, uav.vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
-      const text = [number(uav.error, uav.error !== null && uav.error < 0.1 ? 4 : 3), number(uav.pose && uav.pose[2], 2), number(uav.speed, 2),
-        near, mode || "–", number(uav.battery, 0), uav.fix || "–", uav.readiness || "not heard"];
+      const vehicle = uav.vehicle && uav.vehicle.replace(/ *\(.*/, ""); // without the numbers of an unknown mode
+      const mode = [uav.lost ? "lost" : uav.mode, vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
+      const text = [mode || "–", number(uav.battery, 0), uav.fix || "–", uav.readiness || "not heard",
+        number(uav.error, uav.error !== null && uav.error < 0.1 ? 4 : 3), number(uav.pose && uav.pose[2], 2), number(uav.speed, 2), near];
       text.forEach((one, i) => { if (cells[i].textContent !== one) cells[i].textContent = one; });
       row.classList.toggle("lost", uav.lost);
       row.classList.toggle("inside", Boolean(uav.near && uav.near.room < 0));
@@ -241,13 +270,14 @@ class Socket {
   }
 
   again() {
+    document.documentElement.dataset.connected = "false";
+    if (window.page && (window.page.over || window.page.ended)) return; // nobody answers any more: what is shown stays
     const wait = AGAIN_MS[Math.min(this.failed, AGAIN_MS.length - 1)];
     this.failed += 1;
     byId("state").className = "verdict missed";
     byId("countdown").textContent = "not connected";
     byId("line").textContent = "The connection is lost: what is shown is old. Trying again.";
     for (const button of document.querySelectorAll("[data-order]")) button.disabled = true;
-    document.documentElement.dataset.connected = "false";
     setTimeout(() => this.open(), wait);
   }
 
@@ -260,7 +290,7 @@ class Socket {
       window.page.frame(message);
     } else if (message.kind === "said") {
       byId("notice").textContent = message.text;
-    }
+    } else if (window.page && ["end", "report"].includes(message.kind)) window.page[message.kind](message);
   }
 
   begin({ stage, rows }) {
@@ -286,7 +316,7 @@ class Socket {
     dialog.onclose = () => {
       if (dialog.returnValue !== "yes") return;
       this.socket.send(JSON.stringify({ order, token: this.token }));
-      byId("notice").textContent = `${order}: sent`;
+      byId("notice").textContent = `${document.querySelector(`[data-order=${order}]`).textContent}: sent`;
     };
     dialog.returnValue = "no";
     dialog.showModal();

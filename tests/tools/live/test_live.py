@@ -90,9 +90,9 @@ def test_a_flying_fleet_is_shown_joined_ordered_and_found_again(browser: Any, fl
     rows = page.locator("#board tr")
     assert rows.count() == 5
     page.wait_for_function(
-        "() => [...document.querySelectorAll('#board tr')].every((row) => row.cells[5].textContent === 'form')"
+        "() => [...document.querySelectorAll('#board tr')].every((row) => row.cells[1].textContent === 'form')"
     )
-    errors = [float(text) for text in page.locator("#board tr td:nth-child(2)").all_inner_texts()]
+    errors = [float(text) for text in page.locator("#board tr td:nth-child(6)").all_inner_texts()]
     assert len(errors) == 5
     page.locator("#chart-errors .main-svg").first.wait_for()
 
@@ -138,10 +138,16 @@ def test_a_flying_fleet_is_shown_joined_ordered_and_found_again(browser: Any, fl
     page.wait_for_function("() => document.querySelector('#leg').textContent === 'land'")
     assert "the leader has announced it" in page.locator("#notice").inner_text()
 
-    # The fleet ends in order, and the page says that what it shows is old.
+    # The fleet ends in order. The page keeps what was drawn, and shows the verdict and the report.
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=LIMIT_MS / 1000)
     assert process.returncode == 130
     page.wait_for_selector("html[data-connected=false]")
-    assert "old" in page.locator("#line").inner_text()
+    assert page.locator("#countdown").inner_text() in ("met", "met late", "missed", "void")
+    assert page.locator("[data-order=stop]").is_disabled()
+    assert page.locator("#chart-errors .main-svg").first.is_visible()
+    with page.context.expect_page() as opened_page:  # from the page itself: the server is gone
+        page.get_by_role("link", name="Open the report").click()
+    opened_page.value.wait_for_selector("html[data-ready=true]")
+    assert opened_page.value.locator("h1").inner_text() == "paper_5"
     assert complaints == []

@@ -63,7 +63,7 @@ def test_a_long_flight_is_thinned() -> None:
 def test_a_new_stage_makes_pages_begin_anew_and_answers_are_passed_on() -> None:
     feed = Feed()
     number, version, _ = feed.begin()
-    feed.answer("hold: announced")
+    feed.tell("said", text="hold: announced")
     found = feed.after(number, version, 0.0)
     assert found is not None and json.loads(found[1][0])["text"] == "hold: announced"
     feed.set_stage({"name": "b"})

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -75,16 +76,19 @@ def page(server: LiveServer, feed: Feed) -> Iterator[Any]:
 
 @pytest.mark.slow
 def test_every_order_is_asked_sent_and_answered(page: Any, server: LiveServer, feed: Feed) -> None:
+    words = {"hold": "Hold", "land": "End flight", "stop": "Land all", "motors": "Stop all motors"}
+    assert words.keys() == set(ORDERS)  # the last two are those of the emergency card
     for order in ORDERS:
         button, dialog = page.locator(f"[data-order={order}]"), page.locator("#confirm")
         button.click()
-        assert page.locator("#asked").inner_text().endswith(f"{order.capitalize()}?")
+        assert page.locator("#asked").inner_text().endswith(f"{words[order]}?")
+        assert button.inner_text() == words[order]
         dialog.get_by_role("button", name="Cancel").click()
         assert server.orders.empty()
         button.click()
         dialog.get_by_role("button", name="Yes").click()
         assert server.orders.get(timeout=60) == order
-        feed.answer(f"{order}: done")
+        feed.tell("said", text=f"{order}: done")
         page.wait_for_function(
             "(text) => document.querySelector('#notice').textContent === text", arg=f"{order}: done"
         )
@@ -143,6 +147,46 @@ def test_stop_is_the_command_and_says_what_it_said(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(subprocess, "run", run)
     observer: Any = None
     assert watch._obey("stop", observer, 7, "/blue") == "stop: uav1: lands; uav2: lands"
-    assert watch._obey("stop", observer, 7, "/blue") == "stop: no answer in 30 s"
-    words = ["-m", "ptnsbc_tools", "stop", "--domain", "7", "--namespace", "/blue"]
-    assert ran == [[sys.executable, *words]] * 2
+    assert watch._obey("motors", observer, 7, "/blue") == "stop --kill: no answer in 30 s"
+    command, fleet = (
+        [sys.executable, "-m", "ptnsbc_tools"],
+        ["--domain", "7", "--namespace", "/blue"],
+    )
+    assert ran == [[*command, "stop", *fleet], [*command, "stop", "--kill", *fleet]]
+
+
+@pytest.mark.slow
+def test_a_landing_is_no_catastrophe_and_the_page_ends_with_the_verdict(
+    page: Any, server: LiveServer, feed: Feed
+) -> None:
+    landing = frame("land") | {"left_s": None}
+    for uav in landing["uavs"]:
+        uav |= {"error": None, "speed": 0.4, "vehicle": "land (custom_mode 84148224)"}
+    feed.add(landing)
+    page.wait_for_selector("#state.plain")
+    assert page.locator("#countdown").inner_text() == "landing"
+    assert page.locator("#line").inner_text().startswith("5 of 5 still descend, the highest is at")
+    assert page.locator("#board tr:first-child td.mode").inner_text() == "land, land"
+    feed.tell("end", verdict="met late", line="3 of 5 in place by 5 s.")
+    feed.tell("report", page="<title>the report</title>", path="/tmp/flight-report/index.html")
+    feed.add(landing)  # one that is late
+    server.__exit__()  # the fleet has ended, and the page stays
+    page.wait_for_selector("html[data-connected=false]")
+    assert page.locator("#countdown").inner_text() == "met late"
+    assert page.locator("#line").inner_text() == "3 of 5 in place by 5 s."
+    assert "/tmp/flight-report/index.html" in page.locator("#report").inner_text()
+    assert page.locator("[data-order=motors]").is_disabled()
+
+
+def test_the_last_word_goes_to_pages_that_are_open_or_come_later() -> None:
+    pytest.importorskip("rclpy")
+    from ptnsbc_tools.live.watch import show_end
+
+    feed = Feed()
+    feed.set_stage(stage(SCENARIO))
+    number, version, _ = feed.begin()
+    sample = str(Path(__file__).parents[3] / "bags" / "sample")
+    show_end(feed, {"verdict": "met", "line": "x", "bag": sample, "kept": False}, reported=False)
+    for begun in (number, feed.begin()[0]):
+        found = feed.after(begun, version, 0.0)
+        assert found is not None and json.loads(found[1][0])["verdict"] == "met"

@@ -27,10 +27,10 @@ from ptnsbc_tools.plotting.charts import (
     DARK_COLOURS,
     FLOOR_M,
     MOST_DISTANCES,
-    Thinner,
     charts,
     look,
     thin,
+    thinned,
     view_of,
 )
 from ptnsbc_tools.reading.bag_reader import StatusCollector, StatusSeries
@@ -298,10 +298,9 @@ def test_what_is_short_is_left_alone():
 def test_in_pieces_nothing_is_lost_either(values, points, data):
     t = np.arange(values.size, dtype=np.float64)
     cuts = sorted(data.draw(st.lists(st.integers(0, values.size), max_size=6)))
-    thinner = Thinner(values.size, points)
-    for begin, end in zip([0, *cuts], [*cuts, values.size], strict=True):
-        thinner.add(t[begin:end], values[begin:end])
-    kept = thinner.points()
+    spans = zip([0, *cuts], [*cuts, values.size], strict=True)
+    blocks = ((t[begin:end], {0: values[begin:end]}) for begin, end in spans)
+    kept = thinned(values.size, blocks, points)[0]
     assert (kept.t[0], kept.t[-1]) == (0, values.size - 1) and (np.diff(kept.t) > 0).all()
     np.testing.assert_array_equal(values[kept.t.astype(int)], kept.values)
     assert {np.nanmax(kept.values), np.nanmin(kept.values)} == {
