@@ -86,11 +86,15 @@ def test_who_has_one_parent_costs_nothing() -> None:
 @pytest.mark.parametrize(
     ("parents", "keys", "text"),
     [
-        ({4: {2: 0.5, 1: 0.5}}, {}, "communication.parents.4: expected 3, its parent in the tree"),
-        ({4: {3: 0.5, 9: 0.5}}, {}, "communication.parents.4.9: no such UAV"),
+        (
+            {4: {2: 0.5, 1: 0.5}},
+            {},
+            "communication.parents.4: [2, 1]: expected 3, its parent in the tree",
+        ),
+        ({4: {3: 0.5, 9: 0.5}}, {}, "communication.parents.4.9: 9: no such UAV"),
         ({4: {3: 0.5, 2: 0.4}}, {}, "communication.parents.4: weights sum to 0.9: expected 1"),
         ({4: {3: 0.5, 2: -0.5}}, {}, "communication.parents.4.2"),
-        ({1: {2: 1.0}}, {}, "communication.parents.1: no follower"),
+        ({1: {2: 1.0}}, {}, "communication.parents.1: [2]: expected a follower"),
         ({3: {2: 0.5, 5: 0.5}}, {}, "communication.parents: cycle 3 -> 5 -> 4 -> 3"),
         ({4: {3: 0.5, 2: 0.5}}, {"formation.task": "parent_angle"}, "relative_position"),
         ({4: {3: 0.5, 2: 0.5}}, {"formation.frame": "heading"}, "a shape that does not move"),

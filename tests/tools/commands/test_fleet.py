@@ -13,6 +13,7 @@ import pytest
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.commands import fleet
+from ptnsbc_tools.live.dashboard import Viewer
 from ptnsbc_tools.options import Showing
 
 needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
@@ -138,7 +139,8 @@ def test_an_unreadable_bag_does_not_hide_the_flight(
     bag = tmp_path / "bag"
     bag.mkdir()
     result = flown(exit_code=ended, died=("recorder",), interrupted=ended == 130)
-    assert fleet._judge(bag, result, Showing(json=True), kept=bag, picture=None) == code
+    viewer = Viewer(None, load_scenario("paper_5"), None)
+    assert fleet._judge(bag, result, Showing(json=True), viewer, kept=bag, picture=None) == code
     out, err = capsys.readouterr()
     assert err.count("\n") == 1
     how = "was interrupted" if ended == 130 else "is over"
