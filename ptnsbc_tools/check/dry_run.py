@@ -20,7 +20,7 @@ _MOST_NAMED = 3  # obstacles of a plan
 
 
 def flown(
-    scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
+    scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True, *, strict: bool = False
 ) -> tuple[DryRun, list[Finding]]:
     """Fly a scenario, as it stands and perturbed, with progress, and say what came of it.
 
@@ -29,11 +29,14 @@ def flown(
     """
     with console.compiling(), console.progress("dry runs", progress) as advance:
         done = dry_run(scenario, runs, progress=advance)
-    return done, list(findings(scenario, done))
+    return done, list(findings(scenario, done, strict=strict))
 
 
-def findings(scenario: Scenario, done: DryRun) -> Findings:
-    """The share that met, who is late, the worst flight, the least room, and what would mend it."""
+def findings(scenario: Scenario, done: DryRun, *, strict: bool = False) -> Findings:
+    """The share that met, who is late, the worst flight, the least room, and what would mend it.
+
+    `strict`: a UAV that will be late because it gives way refuses the scenario.
+    """
     of = len(done.flights)
     accepted = done.accepted()
     first = "" if done.flights[0].met else "; the unperturbed flight is not met"
@@ -50,7 +53,7 @@ def findings(scenario: Scenario, done: DryRun) -> Findings:
     if done.flights[0].late:
         value = f"{len(done.flights[0].late)} of {len(scenario.uav_ids)} UAVs in place after the deadline"
         advice = f"raise {_DEADLINE}, or start or place them farther from what they give way to"
-        yield Finding(WARNING, f"{KEY}: late", value, "0", advice)
+        yield Finding(ERROR if strict else WARNING, f"{KEY}: late", value, "0", advice)
     worst, room = done.worst, done.least_room_m
     if not worst.met:
         value = f"UAV {worst.uav} {worst.verdict}"

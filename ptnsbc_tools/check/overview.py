@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_tools import console
-from ptnsbc_tools.check import INFO, CheckReport
+from ptnsbc_tools.check import ERROR, INFO, CheckReport
 from ptnsbc_tools.check.dry_run import counts
 from ptnsbc_tools.tables import findings_table
 
@@ -23,7 +23,8 @@ def check_report(report: CheckReport, *, verbose: bool = False) -> Iterator[Tabl
         warnings = f"; {console.counted(len(loud), 'warning')}" if loud else ""
         verdict = Text.assemble(("accepted", "green"), f": {why}{warnings}")
     else:
-        what = f": {loud[0].key}: {loud[0].value.partition(';')[0]}"
+        error = next(one for one in loud if one.severity == ERROR)
+        what = f": {error.key}: {error.value.partition(';')[0]}"
         verdict = Text.assemble(("refused", "bold red"), what)
     yield Text(f"{report.scenario.name}: ") + verdict
     if verbose or loud:

@@ -15,6 +15,7 @@ from ptnsbc_tools.options import (
     FlightChoices,
     JsonOption,
     ScenarioArgument,
+    StrictOption,
     VerboseOption,
     argument,
     option,
@@ -41,6 +42,7 @@ def check(
     runs: Annotated[
         int, option("--runs -n N", "Perturbed dry runs; 0: none.", 0, MOST_RUNS)
     ] = DRY_RUNS,
+    strict: StrictOption = False,
     json: JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms, and fly it in dry runs.
@@ -56,7 +58,7 @@ def check(
     chosen = choices.of(scenario)
     if backend == "mavlink":
         chosen = chosen.bridged()
-    report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True)
+    report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True, strict=strict)
     if json:
         findings = [dataclasses.asdict(finding) for finding in report]
         told = {"scenario": chosen.name, "ok": report.ok, "plan": report.plan}

@@ -53,11 +53,16 @@ def load(scenario: ScenarioLike, /, **keys: Any) -> Scenario:
 
 
 def check(
-    scenario: ScenarioLike, *, dry_runs: int = DRY_RUNS, progress: bool | None = None
+    scenario: ScenarioLike,
+    *,
+    dry_runs: int = DRY_RUNS,
+    progress: bool | None = None,
+    strict: bool = False,
 ) -> CheckReport:
     """Check a scenario before a flight, as `ptnsbc check`: by closed forms, then by dry runs.
 
-    `dry_runs` perturbed flights are flown when the rest finds no error; 0: none.
+    `dry_runs` perturbed flights are flown when the rest finds no error; 0: none. `strict` refuses a scenario whose
+    flight will be *met late*.
     """
     scenario = load(scenario)
     with console.compiling():
@@ -65,7 +70,7 @@ def check(
     if dry_runs and all(finding.severity != ERROR for finding in findings):
         from ptnsbc_tools.check.dry_run import flown
 
-        done, found = flown(scenario, dry_runs, progress)
+        done, found = flown(scenario, dry_runs, progress, strict=strict)
         return CheckReport(scenario, (*found, *findings), done)
     return CheckReport(scenario, tuple(findings))
 

@@ -7,7 +7,8 @@ import pytest
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep.dry_run import DryFlight, DryRun, Remedy
 from ptnsbc_sim.sweep.rows import not_flown
-from ptnsbc_tools.check import check, dry_run
+from ptnsbc_tools.check import CheckReport, check, dry_run
+from ptnsbc_tools.check.overview import check_report
 
 SCENARIO = load_scenario("paper_5_free")
 GOOD = DryFlight("met", 2, "", 0.01, 0.5)
@@ -75,6 +76,15 @@ def test_who_is_late_is_a_warning_and_stands_in_the_plan(say):
     assert told["flown"] == (
         "3 in place by 5 s, 2 later because they gave way to boxA and each other, the last at 9.1 s; "
         "least room 0.50 m beyond the keep-outs"
+    )
+
+
+def test_strictly_late_is_refused_and_named_first():
+    flights = DryRun((WAY,))
+    report = CheckReport(SCENARIO, tuple(dry_run.findings(SCENARIO, flights, strict=True)), flights)
+    assert not report.ok
+    assert str(next(check_report(report))) == (
+        f"{SCENARIO.name}: refused: dry run: late: 2 of 5 UAVs in place after the deadline"
     )
 
 
