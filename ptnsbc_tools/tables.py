@@ -301,6 +301,13 @@ def reasons(verdict: Verdict, *, all_of_them: bool = True) -> list[Text]:
     ]
 
 
+def print_plain(table: Table) -> None:
+    """Print a table of the first screen: a line under its heads, and no title."""
+    out = console.out()
+    table.title, table.box, table.show_edge, table.pad_edge = None, SIMPLE_HEAD, False, False
+    out.print("", table, sep="\n", width=min(out.width, _WIDTH))
+
+
 def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
     """Print the verdict, and return the exit code; `extra` goes into the JSON, and its paths below the tables."""
     verdict = verdict.strict() if showing.strict else verdict
@@ -318,8 +325,7 @@ def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
     if verdict.separations and not showing.verbose:
         tables.append(_separation_table(verdict, _NEAREST))
     for table in tables:
-        table.title, table.box, table.show_edge, table.pad_edge = None, SIMPLE_HEAD, False, False
-        out.print("", table, sep="\n", width=min(out.width, _WIDTH))
+        print_plain(table)
     out.print()
     lines = reasons(verdict, all_of_them=showing.verbose)
     if showing.verbose:

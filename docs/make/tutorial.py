@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from contextlib import suppress
 from functools import cache
 
@@ -13,6 +14,20 @@ COMMANDS = {
     "help": ("--help",),
     "check": ("check", "paper_5", "-n", "5"),
     "simulate": ("simulate", "paper_5", "--duration", "12"),
+    "sweep": tuple(
+        [
+            "sweep",
+            "paper_5_free",
+            "-n",
+            "20",
+            "--starts",
+            "near:0.5",
+            "--stop-after",
+            "10",
+            "-o",
+            "out/near",
+        ]
+    ),
     "refused": ("check", "paper_5", "--set", "gains.formation.deadline_s=2"),
 }
 
@@ -24,13 +39,16 @@ def regions() -> dict[str, str]:
 
 @cache
 def transcript(*words: str) -> str:
-    """The standard output of a command on a terminal without colours, of 80 columns."""
+    """The standard output of a command in an empty folder, on a terminal without colours, of 80 columns."""
     screen, terminal = os.openpty()
     settings = {**os.environ, "COLUMNS": str(COLUMNS), "TERM": "dumb"}
     command = [sys.executable, "-m", "ptnsbc_tools", *words]
     with (
         os.fdopen(screen, "rb") as shown,
-        subprocess.Popen(command, stdout=terminal, stderr=subprocess.DEVNULL, env=settings),
+        tempfile.TemporaryDirectory() as folder,
+        subprocess.Popen(
+            command, stdout=terminal, stderr=subprocess.DEVNULL, env=settings, cwd=folder
+        ),
     ):
         os.close(terminal)
         text = b""

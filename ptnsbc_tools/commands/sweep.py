@@ -18,6 +18,7 @@ from ptnsbc_tools.options import (
     Choices,
     JsonOption,
     StrictOption,
+    VerboseOption,
     argument,
     option,
     scenario_with,
@@ -147,6 +148,7 @@ def sweep(
         bool, option("--overwrite", "Replace a sweep of another plan, or of other laws, in DIR.")
     ] = False,
     strict: StrictOption = False,
+    verbose: VerboseOption = False,
     json: JsonOption = False,
     list_families: Annotated[
         bool,
@@ -188,7 +190,7 @@ def sweep(
         files = {"table": str(flown.table), "report": str(page) if page else None}
         console.print_json({**summary.as_json(found), "failed": failed, **files})
     else:
-        _show(found, flown, page)
+        _show(found, flown, page, verbose=verbose)
     if found.missing:
         raise typer.Exit(_LACKING)
 
@@ -229,13 +231,20 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
         raise SweepError(f"{what}: {error}") from error
 
 
-def _show(found: FlownSweep, flown: SweepResult, page: Path | None) -> None:
+def _show(
+    found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: bool = False
+) -> None:
+    """Say who met and was in place in a line, then the shares and distances; `verbose`: all tables."""
     from ptnsbc_tools.sweeps import summary
+    from ptnsbc_tools.tables import print_plain
 
     out = console.out()
-    for table in summary.tables(found):
-        out.print(table)
-    for worst in summary.worst(found):
+    for line in (summary.title(found), summary.line(found)):
+        out.print(line, soft_wrap=not out.is_terminal)  # a pipe gets it whole
+    for table in summary.tables(found, brief=not verbose):
+        out.print(table) if verbose else print_plain(table)
+    out.print()
+    for worst in summary.worst(found)[: None if verbose else 1]:
         print(f"fly draw {worst.draw} again: {worst.command}")
     for failed in flown.failed:
         first, last = failed.draws.start, failed.draws[-1]
@@ -244,7 +253,6 @@ def _show(found: FlownSweep, flown: SweepResult, page: Path | None) -> None:
         print(f"draw {draw} was not flown: {cause}", file=sys.stderr)
     if (rest := len(found.not_flown) - _MOST_NAMED) > 0:
         print(f"{rest} more were not flown: their causes are in the table", file=sys.stderr)
-    out.print(summary.line(found), soft_wrap=True)
     print(f"table: {flown.table}")
     if page is not None:
         print(f"report: {page}")

@@ -467,8 +467,8 @@ def _digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.2e}"
 
 
-def tables(sweep: FlownSweep) -> list[Table]:
-    """All tables, in the order in which they are read; those without rows are left out."""
+def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
+    """All tables, or those of the first screen, in the order in which they are read, without the empty ones."""
     counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
     names = (
         *("flights met", "flights in place at the deadline"),
@@ -496,7 +496,8 @@ def tables(sweep: FlownSweep) -> list[Table]:
         figures_shown = ["-" if value is None else _digits(value) for value in values]
         about = str(flight.draw), word(flight.verdict), str(flight.uav)
         look_at.add_row(*about, *figures_shown, flight.cause)
-    every = (counts, _cells_table(sweep), why, figures, distances, look_at)
+    first = [counts, _cells_table(sweep), why]
+    every = [*first, distances] if brief else [*first, figures, distances, look_at]
     return [table for table in every if table is not None and (table.row_count or table is figures)]
 
 
