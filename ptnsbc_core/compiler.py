@@ -122,7 +122,7 @@ class _WholeKernel(CPUDispatcher):
         """As numba's, beside the main thread, which hears Ctrl-C: LLVM does not return for seconds."""
         if threading.current_thread() is not threading.main_thread():
             return self._compile_here(sig)
-        compiler = ThreadPoolExecutor(1)
+        compiler = ThreadPoolExecutor(1, "compiler")
         try:
             return compiler.submit(self._compile_here, sig).result()
         finally:

@@ -218,9 +218,11 @@ def main() -> None:
     try:
         app(prog_name="ptnsbc")
     except SystemExit as end:
-        if end.code == _INTERRUPTED and threading.active_count() > 1:
+        # `compiler` names the thread of a law so, and Python would wait for it.
+        compiles = any(thread.name.startswith("compiler") for thread in threading.enumerate())
+        if end.code == _INTERRUPTED and compiles:
             sys.stdout.flush()
-            os._exit(_INTERRUPTED)  # Python would wait for a law that is still compiled
+            os._exit(_INTERRUPTED)
         raise
 
 

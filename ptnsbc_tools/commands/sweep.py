@@ -231,16 +231,13 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
         raise SweepError(f"{what}: {error}") from error
 
 
-def _show(
-    found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: bool = False
-) -> None:
+def _show(found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: bool) -> None:
     """Say who met and was in place in a line, then the shares and distances; `verbose`: all tables."""
     from ptnsbc_tools.sweeps import summary
     from ptnsbc_tools.tables import print_plain
 
     out = console.out()
-    for line in (summary.title(found), summary.line(found)):
-        out.print(line, soft_wrap=not out.is_terminal)  # a pipe gets it whole
+    out.print(summary.title(found), summary.line(found), sep="\n", soft_wrap=not out.is_terminal)
     for table in summary.tables(found, brief=not verbose):
         out.print(table) if verbose else print_plain(table)
     out.print()
