@@ -11,6 +11,8 @@ import os
 import re
 import sysconfig
 from collections.abc import Mapping
+from copy import deepcopy
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +74,7 @@ def _plain_int(loader: yaml.SafeLoader, node: Any) -> int:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
+_loaded = lru_cache(16)(partial(yaml.load, Loader=_Loader))  # of the same text; callers take a copy
 
 
 def parse(text: str, source: str, begins: str = "name") -> Tree:
@@ -79,7 +82,7 @@ def parse(text: str, source: str, begins: str = "name") -> Tree:
     if len(text) > _MOST_BYTES:
         raise ScenarioError(f"{source}: over {_MOST_BYTES} bytes: expected a scenario file")
     try:
-        tree = yaml.load(text, Loader=_Loader)
+        tree = deepcopy(_loaded(text))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -231,7 +234,7 @@ def _step(node: Any, key: str, path: str, source: str) -> Any:
 
 def overridden(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
     """`tree` with dotted keys (`gains.profile`, `uavs[2].position_m`) set; a None is left out."""
-    return with_keys(yaml.load(dump(tree), Loader=_Loader), overrides, source)
+    return with_keys(deepcopy(_loaded(dump(tree))), overrides, source)
 
 
 def with_keys(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
