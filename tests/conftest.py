@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import signal
@@ -128,6 +129,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             raise pytest.UsageError(
                 f"{item.nodeid}: run.py looks for tests marked `alone` in tests/{place} only"
             )
+
+
+def pytest_collection_finish() -> None:
+    """Modules and tests stay until the end: no collection of garbage goes through them again."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)
