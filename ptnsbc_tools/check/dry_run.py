@@ -73,7 +73,7 @@ def counts(done: DryRun) -> str:
 
 
 def _in_place(scenario: Scenario, flight: DryFlight) -> str:
-    """Who is in place by the deadline, and who came later because of what."""
+    """UAVs in place by the deadline, and those that came later, with the reason."""
     by = f"by {scenario.gains.formation.deadline_s:g} s"
     if not flight.late:
         return f"{flight.in_place} of {len(scenario.uav_ids)} in place {by}"

@@ -205,7 +205,7 @@ class LiveServer:
         """End once every page has got what there is."""
         limit_s = time.monotonic() + _LAST_S
         while not self._server.connections and self.looked_at:
-            time.sleep(_SETTLE_S)
+            time.sleep(_SETTLE_S)  # no event says that a page has come, or has left
         self._ended.set()
         while self._server.connections and time.monotonic() < limit_s:
             time.sleep(_SETTLE_S)
