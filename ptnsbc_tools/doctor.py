@@ -102,14 +102,15 @@ def _cache() -> Findings:
 
 
 def _libraries() -> Findings:
-    for name, use, extra in (
-        ("pymavlink", "bridges and stand-ins", "mavlink"),
-        ("pandas", "to_pandas()", "tables"),
+    for name, use, advice in (
+        ("pymavlink", "bridges and stand-ins", 'pip install "ptnsbc[mavlink]"'),
+        ("pandas", "to_pandas()", 'pip install "ptnsbc[tables]"'),
+        ("tf2_msgs", "a live /tf; bags contain it", "make setup-messages"),
     ):
-        value, advice = "not installed", f'pip install "ptnsbc[{extra}]"'
+        value = "not installed"
         if find_spec(name) is not None:
             value, advice = "installed", ""
-        yield Finding(INFO, name, value, f"for {use} only", advice)
+        yield Finding(INFO, name, value, f"only for {use}", advice)
 
 
 def ports(scenario: Scenario) -> Findings:

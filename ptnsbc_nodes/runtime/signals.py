@@ -1,6 +1,6 @@
 """SIGINT and SIGTERM: an exit at once while a process starts, a question to ask once it has work to put in order.
 
-This module imports the standard library only, so that a process has its handlers before it loads anything else.
+This module imports little, and only of the standard library, so that a process has its handlers before all else.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_Handler = Callable[[int, FrameType | None], None]
-_replaced: dict[signal.Signals, Any] = {}  # handlers from before `exit_on_signal`
+_Handler = Callable[[int, FrameType | None], object]
+_Setting = _Handler | int | signal.Handlers | None
+_replaced: dict[signal.Signals, _Setting] = {}  # handlers from before `exit_on_signal`
 
 
 def exit_on_signal(exit_code: int = 0, message: str = "") -> None:
@@ -84,7 +84,7 @@ class StopRequest:
         self._reader, self._writer = os.pipe()
         weakref.finalize(self, os.close, self._reader)
         weakref.finalize(self, os.close, self._writer)
-        self._before: dict[signal.Signals, Any] = {}
+        self._before: dict[signal.Signals, _Setting] = {}
 
     @property
     def came(self) -> bool:
@@ -111,7 +111,7 @@ class StopRequest:
             os.write(self._writer, b"!")
 
 
-def install_handler(handler: _Handler) -> dict[signal.Signals, Any]:
+def install_handler(handler: _Handler) -> dict[signal.Signals, _Setting]:
     """Set the handler and unblock the signals, which the launcher blocks at the start; returns the old handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
@@ -20,7 +19,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
-    from ptnsbc_nodes.comm import topics
     from ptnsbc_nodes.comm.graph import CommunicationGraph
     from ptnsbc_nodes.runtime import environment, node_parameters
     from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node
@@ -35,11 +33,6 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         if node.get_parameter("use_sim_time").value:
             raise node_parameters.ScenarioParameterError(
                 "parameter use_sim_time: true: expected false, because the sim publishes the time"
-            )
-        if not topics.tf_is_available():
-            print(
-                "sim: there is no live /tf because tf2_msgs is not installed; bags contain /tf",
-                file=sys.stderr,
             )
         load_world(settings.scenario)
         if settings.options.lockstep:

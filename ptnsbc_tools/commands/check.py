@@ -135,16 +135,19 @@ def scenarios(json: JsonOption = False) -> None:
     from ptnsbc_sim.scenario.reading.reader import find
 
     rows: list[dict[str, Any]] = []
-    for name in available():
-        entry = {"name": name, "file": str(find(name))}
-        try:
-            one = load_scenario(name)
-        except PtnsbcError as error:
-            rows.append({**entry, "error": str(error)})
-            continue
-        task = one.formation.task
-        flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.timing.duration_s}
-        rows.append({**entry, **flight, "description": one.description})
+    names = available()
+    with console.progress("reading scenarios") as advance:
+        for done, name in enumerate(names):
+            advance(done, len(names))
+            entry = {"name": name, "file": str(find(name))}
+            try:
+                one = load_scenario(name)
+            except PtnsbcError as error:
+                rows.append({**entry, "error": str(error)})
+                continue
+            task = one.formation.task
+            flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.timing.duration_s}
+            rows.append({**entry, **flight, "description": one.description})
     if json:
         console.print_json({"scenarios": rows})
         return
