@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_sim.verdict import Verdict
-from ptnsbc_sim.verdict.deadline import KEPT, MET
+from ptnsbc_sim.verdict.deadline import KEPT, MET, VOID
 from ptnsbc_sim.verdict.encounters import listed
 from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.verdict import LegVerdict
@@ -253,7 +253,8 @@ def verdict_sentence(verdict: Verdict) -> Text:
     if missing:
         parts.append(f"{console.counted(missing, 'message')} missing.")
     if verdict.missed_ticks:
-        parts.append(f"{console.counted(verdict.missed_ticks, 'tick')} missed.")
+        advice = ": give this computer less work, and fly again" if verdict.verdict == VOID else ""
+        parts.append(f"{console.counted(verdict.missed_ticks, 'tick')} missed{advice}.")
     if verdict.latency_ms:
         figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
         parts.append(f"Latency {figures}.")

@@ -107,7 +107,7 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
                     edges,
                     link,
                     BridgeOptions(False),
-                    lambda: None,
+                    lambda _: None,
                 )
         if not options.bridged:
             sim_node(node("sim"), scenario, edges, lambda: None)

@@ -253,7 +253,7 @@ class NearPublisher:
 class BridgeNode:
     """One bridge as one rclpy node; it sends nothing to the vehicle until `activate`.
 
-    It calls `on_end` when the flight is over.
+    It calls `on_end` when the flight is over, with its faults, or without any the step in which it ended.
     """
 
     def __init__(
@@ -264,7 +264,7 @@ class BridgeNode:
         edges: CommunicationGraph,
         link: MavlinkLink,
         options: BridgeOptions,
-        on_end: Callable[[], None],
+        on_end: Callable[[str], None],
     ) -> None:
         self.node, self._name, self._on_end = node, f"bridge{uav_id}", on_end
         self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
@@ -394,4 +394,4 @@ class BridgeNode:
             raise
         finally:
             if not self._leaving:
-                self._on_end()
+                self._on_end(bridge.procedure.fault or bridge.procedure.step.value)

@@ -88,7 +88,7 @@ def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, mana
 
 
 def _open(
-    node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None], *, with_fleet: bool
+    node: ManagedNode, parameters: NodeParameters, end: Callable[[str], None], *, with_fleet: bool
 ) -> BridgeNode:
     scenario, uav = parameters.scenario, parameters.uav
     try:
@@ -105,4 +105,4 @@ def _open(
     key = str(parameters["signing_key"] or settings.signing_key or "")
     link, edges = open_link(settings, key), CommunicationGraph(scenario, parameters.options)
     options = BridgeOptions(parameters["allow_arming"], with_fleet, key)
-    return BridgeNode(node, scenario, uav, edges, link, options, on_end)
+    return BridgeNode(node, scenario, uav, edges, link, options, end)

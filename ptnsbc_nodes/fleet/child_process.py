@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,6 +32,8 @@ _UAV = "ptnsbc_nodes.uav.uav_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 _TAIL_LINES = 12
 _USER_ERROR = 2  # the exit code of a process that ended with a message to the user
+_LOGGED = re.compile(r"(\[\w+\] )\[[\d.]+\] \[[\w./]+\]: ")  # by rclpy: level, time and node
+_FIGURE = re.compile(r"\d+(\.\d+)?")  # differs between messages of one cause
 # As `python -m`, but without the current folder on the path: a yaml.py that lies there is not imported.
 # (`python -P` does the same, from Python 3.11 on.)
 _RUN_MODULE = (
@@ -314,20 +318,35 @@ class ChildProcess:
         return self.log.read_text(errors="replace").splitlines()
 
     def tail(self) -> str:
-        """The last lines of the log, indented; of an error of the user the error alone, without its traceback."""
-        lines = self.log_lines()[-_TAIL_LINES:]
+        """The last lines of the log, indented; of an error of the user the error alone, without its traceback.
+
+        Messages of one cause that a node has logged are one line, the newest, with their count.
+        """
+        newest, counts = dict[str, str](), Counter[str]()
+        for line in self.log_lines():
+            text = _LOGGED.sub(r"\1", line)
+            cause = text if text == line else _FIGURE.sub("", text)
+            counts[cause] += 1
+            newest.pop(cause, None)  # the newest one stands last
+            newest[cause] = text
+        times = {cause: f" ({count} times)" for cause, count in counts.items() if count > 1}
+        lines = [text + times.get(cause, "") for cause, text in newest.items()][-_TAIL_LINES:]
         if self.exit_code == _USER_ERROR:
             prefix = f"{EXECUTABLES.get(self.command.module, self.name)}: "
             said = [at for at, line in enumerate(lines) if line.startswith(prefix)]
             lines = lines[said[-1] :] if said else lines
         return "\n".join(f"    {line}" for line in lines) or "    (its log is empty)"
 
+    @property
+    def fault(self) -> str:
+        """Why the flight of a bridge that has ended in order did not go as planned; empty for any other process."""
+        flew_otherwise = self.command.module == BRIDGE and self.exit_code
+        return self.reports.summary or "" if flew_otherwise else ""
+
     def exit_summary(self) -> str:
         """Its name, how it ended, and the last lines of its log."""
-        code = self.exit_code
-        how = f"exit code {code}"
-        if code is not None and code < 0:
-            how = f"signal {signal.Signals(-code).name}"
+        code = self.exit_code or 0
+        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         return f"{self.name} (pid {self.pid}) has ended: {how}, {self.log}\n{self.tail()}"
 
 
@@ -365,6 +384,17 @@ class Crew:
         if command.managed:
             self._lifecycle.manage(command.name, command.managed)
         return child
+
+
+def fault_lines(children: Iterable[ChildProcess]) -> Iterator[str]:
+    """A line for each cause of a flight that was not as planned; its figures differ from one bridge to the next."""
+    alike: dict[str, list[ChildProcess]] = {}
+    for child in children:
+        if child.fault:
+            alike.setdefault(_FIGURE.sub("", child.fault), []).append(child)
+    for of_cause in alike.values():
+        names, first = ", ".join(child.name for child in of_cause), of_cause[0]
+        yield f"not as planned: {names} ({len(of_cause)}): {first.fault}; logs in {first.log.parent}"
 
 
 def end(children: Sequence[ChildProcess], patience_s: float = _PATIENCE_S) -> None:

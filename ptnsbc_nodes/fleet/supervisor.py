@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency import in_pilots_hands, last_word
-from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end
+from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end, fault_lines
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
@@ -137,7 +137,8 @@ class Supervisor:
             lost = {child.name} if self._options.shared else set()
             if not (child.command.ends and child.exit_code == 0):
                 self.died.append(child)
-                self._progress(child.exit_summary())
+                if not child.fault:  # it has told that, and is named once more at the end
+                    self._progress(child.exit_summary())
                 report_armed(self._node.folder, [child], self._progress)
                 lost.update(child.command.lost)
             for name in lost:
@@ -170,7 +171,10 @@ class Supervisor:
             else:
                 if not child.command.beside:
                     self.died.append(child)
-                self._progress(f"at the end: {child.exit_summary()}")
+                if not child.fault:
+                    self._progress(f"at the end: {child.exit_summary()}")
+        for line in fault_lines(self.died):
+            self._progress(line)
 
     def _land(self) -> None:
         """Land what is still in the air, before the processes that fly it are ended."""

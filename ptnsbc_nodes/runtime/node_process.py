@@ -164,10 +164,10 @@ class ProcessLifetime:
         self._signalled = False
         install_handler(self._on_signal)
 
-    def end(self) -> None:
-        """Leave after the running callback."""
+    def end(self, summary: str = "") -> None:
+        """Leave after the running callback; `summary`: the result of the work, for the launcher."""
         if not self._done.done():
-            self._done.set_result(None)
+            self._done.set_result(summary)
 
     @property
     def over(self) -> bool:
@@ -209,7 +209,7 @@ class ProcessLifetime:
         limit_s = time.monotonic() + FLUSH_S
         for each in served:
             each.flush(max(limit_s - time.monotonic(), 0.0))
-        report_finished("")
+        report_finished(self._done.result() or "")
         executor.shutdown()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

@@ -1,35 +1,40 @@
-"""Pre-flight dry runs as findings, and what they and the closed forms say of the plan."""
+"""Pre-flight dry runs as findings, and the check on one screen: accepted or refused, what to change, and the plan."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from rich.table import Table
+from rich.text import Text
+
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sweep.dry_run import START_M, DryFlight, DryRun, dry_run, remedies
 from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools import console
+from ptnsbc_tools.check import CheckReport
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.check.geometry import meetings
 from ptnsbc_tools.limits import DRY_RUNS
 from ptnsbc_tools.sweeps.summary import share
-from ptnsbc_tools.tables import came_later
+from ptnsbc_tools.tables import came_later, findings_table
 
 KEY = "dry run"
 _DEADLINE = "gains.formation.deadline_s"
 _MOST_NAMED = 3  # obstacles of a plan
+_MOST_FINDINGS = 4  # at a glance
 
 
 def flown(
     scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True, *, strict: bool = False
-) -> tuple[DryRun, list[Finding]]:
-    """Fly a scenario, as it stands and perturbed, with progress, and say what came of it.
+) -> CheckReport:
+    """Fly a scenario, as it stands and perturbed, with progress, and report what came of it.
 
     Raises:
         SweepError: UAVs start so close that no perturbed start has room.
     """
     with console.compiling(), console.progress("dry runs", progress) as advance:
         done = dry_run(scenario, runs, progress=advance)
-    return done, list(findings(scenario, done, strict=strict))
+    return CheckReport(scenario, tuple(findings(scenario, done, strict=strict)), done)
 
 
 def findings(scenario: Scenario, done: DryRun, *, strict: bool = False) -> Findings:
@@ -108,3 +113,28 @@ def _met(scenario: Scenario) -> Iterator[str]:
         yield f"{name} from {first_s[name]:.1f} s (UAV {', '.join(map(str, uavs[name]))})"
     if len(uavs) > _MOST_NAMED:
         yield f"{len(uavs) - _MOST_NAMED} more"
+
+
+def check_report(report: CheckReport, *, verbose: bool = False) -> Iterator[Table | Text]:
+    """The check of a scenario: accepted or refused and why, what to change, and the plan."""
+    loud = [one for one in report if one.severity != INFO]
+    if report.ok:
+        why = "by closed forms" if report.flown is None else counts(report.flown)
+        warnings = f"; {console.counted(len(loud), 'warning')}" if loud else ""
+        verdict = Text.assemble(("accepted", "green"), f": {why}{warnings}")
+    else:
+        error = next(one for one in loud if one.severity == ERROR)
+        what = f": {error.key}: {error.value.partition(';')[0]}"
+        verdict = Text.assemble(("refused", "bold red"), what)
+    yield Text(f"{report.scenario.name}: ") + verdict
+    if verbose or loud:
+        yield findings_table(report if verbose else loud[:_MOST_FINDINGS], brief=not verbose)
+    if not verbose and len(loud) > _MOST_FINDINGS:
+        yield Text(f"{len(loud) - _MOST_FINDINGS} more of them: -v")
+    plan = Table.grid(padding=(0, 2, 0, 0))
+    for label, text in report.plan.items():
+        if report.ok or label != "deadline":  # of a refused one the error says it
+            plan.add_row(label, Text(text))
+    yield plan
+    if not verbose and len(report) > len(loud):
+        yield Text(f"{len(report) - len(loud)} findings need no change: -v", style="dim")

@@ -14,6 +14,7 @@ from ptnsbc_tools.limits import DRY_RUNS, MOST_RUNS
 from ptnsbc_tools.options import (
     FlightChoices,
     JsonOption,
+    PictureOption,
     ScenarioArgument,
     StrictOption,
     VerboseOption,
@@ -43,6 +44,7 @@ def check(
         int, option("--runs -n N", "Perturbed dry runs; 0: none.", 0, MOST_RUNS)
     ] = DRY_RUNS,
     strict: StrictOption = False,
+    picture: PictureOption = None,
     json: JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms, and fly it in dry runs.
@@ -52,10 +54,13 @@ def check(
     The scenario is refused when the first of them is not met, or fewer than half of all; with noise, gusts, faults
     or lossy links, fewer than 95 % of all.
     """
-    from ptnsbc_tools.check.overview import check_report
+    from ptnsbc_tools.check.dry_run import check_report
     from ptnsbc_tools.library import flying
+    from ptnsbc_tools.plotting.draw import format_of
 
     chosen = choices.of(scenario)
+    if picture is not None:
+        format_of(picture)  # refused before the flights, not after them
     if backend == "mavlink":
         chosen = chosen.bridged()
     report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True, strict=strict)
@@ -70,6 +75,9 @@ def check(
         how = "simulate" if backend == "sim" else "fleet --backend mavlink"
         if report.ok:
             console.show(f"next: ptnsbc {how} {scenario}{same}")
+    if picture is not None and (report.ok or report.flown is not None):
+        flying.fly(chosen, checked=False).save_picture(picture)
+        console.say(f"picture: {picture}")
     report.refuse()
 
 
@@ -139,21 +147,20 @@ def scenarios(json: JsonOption = False) -> None:
     with console.progress("reading scenarios") as advance:
         for done, name in enumerate(names):
             advance(done, len(names))
-            entry = {"name": name, "file": str(find(name))}
+            row: dict[str, Any] = {"name": name, "file": str(find(name))}
             try:
                 one = load_scenario(name)
+                row |= {"uavs": len(one.uav_ids), "task": one.formation.task}
+                row |= {"duration_s": one.timing.duration_s, "description": one.description}
             except PtnsbcError as error:
-                rows.append({**entry, "error": str(error)})
-                continue
-            task = one.formation.task
-            flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.timing.duration_s}
-            rows.append({**entry, **flight, "description": one.description})
+                row["error"] = str(error)
+            rows.append(row)
     if json:
         console.print_json({"scenarios": rows})
         return
     table = Table("name", "UAVs", "task", "s", "description")
     for row in rows:
+        cells = [str(row.get(key, "-")) for key in ("name", "uavs", "task")]
         about = row.get("description", row.get("error", ""))
-        cells = (row.get("uavs", "-"), row.get("task", "-"), f"{row.get('duration_s', 0):g}")
-        table.add_row(str(row["name"]), *map(str, cells), str(about))
+        table.add_row(*cells, f"{row.get('duration_s', 0):g}", about)
     console.out().print(table)

@@ -187,16 +187,21 @@ def fly_and_judge(
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
         request = parts.request(scenario)
     if request.leads and (bridged if check is None else check):
+        from ptnsbc_tools.check import dry_run
+
         # After the dry runs from the positions of the file, those from the measured ones.
-        _refuse_dry_runs(scenario)
+        dry_run.flown(scenario).refuse()
         request = replace(request, objection=_objection)
     with ExitStack() as stack:
         viewer = _viewer(request, views, showing.json)
         stack.callback(viewer.end)
+        if request.leads and request.bag is None:  # the verdict is read from a bag
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
+            request = replace(request, bag=Path(folder) / "bag")
+        flown = _fly(request, viewer)
+        for line in _losses(flown, leads=request.leads):
+            console.say(line)
         if not request.leads:  # the host with the recorder shows the verdict
-            flown = _fly(request, viewer)
-            for line in _losses(flown, leads=False):
-                console.say(line)
             end = f"over after {flown.flight_s:.1f} s"
             console.say(f"{end}; the verdict is on the host with the recorder")
             if showing.json:
@@ -204,31 +209,18 @@ def fly_and_judge(
                 del facts["recorded"]
                 console.print_json({"fleet": facts})
             return flown.exit_code
-        if request.bag is None:  # the verdict is read from a bag
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
-            request = replace(request, bag=Path(folder) / "bag")
-        flown = _fly(request, viewer)
-        for line in _losses(flown):
-            console.say(line)
         assert request.bag is not None
         if flown.interrupted and not request.bag.exists():
             return flown.exit_code
         return _judge(request.bag, flown, showing, viewer, kept=parts.bag, picture=picture)
 
 
-def _refuse_dry_runs(scenario: Scenario) -> None:
-    """Fly the dry runs of a scenario; CheckError when they refuse it."""
-    from ptnsbc_tools.check import CheckReport
-    from ptnsbc_tools.check.dry_run import flown
-
-    done, findings = flown(scenario)
-    CheckReport(scenario, tuple(findings), done).refuse()
-
-
 def _objection(scenario: Scenario) -> str:
     """The reason why a scenario must not be flown, in a line; empty when it may."""
+    from ptnsbc_tools.check.dry_run import flown
+
     try:
-        _refuse_dry_runs(scenario)
+        flown(scenario).refuse()
     except PtnsbcError as error:
         return f"{error}; with --no-check it is flown all the same"
     return ""
@@ -282,10 +274,10 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
     }
 
 
-def _losses(flown: FleetResult, *, leads: bool = True) -> Iterator[str]:
+def _losses(flown: FleetResult, *, leads: bool) -> Iterator[str]:
     """The defects of the flight, and of its recording on the host that leads, one line each."""
-    for name in flown.died:
-        yield f"{name} ended before its time"
+    if flown.died:
+        yield f"{', '.join(flown.died)}: ended early, or with a fault"
     for name in flown.killed:
         yield f"{name} was killed, as the scenario has it"
     if not leads:

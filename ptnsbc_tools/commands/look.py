@@ -130,8 +130,7 @@ def plot(
     keys, kind = _keys(what), "" if out is None else out.suffix.lower()
     one = kind in draw.FORMATS
     if out is not None and not one and not out.is_dir() and guess_type(out.name)[0] is not None:
-        formats = f"{', '.join(draw.FORMATS[:-1])} or {draw.FORMATS[-1]}"
-        raise PlotError(f"--output {out}: expected a folder, or FILE with {formats}")
+        raise PlotError(f"--output {out}: expected a folder, or FILE with .png, .svg or .pdf")
     if one and kind != ".pdf" and len(keys) != 1:
         raise PlotError(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
@@ -140,7 +139,7 @@ def plot(
         shown = flight_in(bag, reading).view
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
-    folder = out or _beside(bag, "-figures")
+    folder = out or bag.parent / f"{shown.name}-figures"
     with draw.sized(width):
         drawn = figures(shown, keys, columns=width)
         if kind == ".pdf":
@@ -158,10 +157,6 @@ def plot(
     else:
         for path in written:
             print(path)
-
-
-def _beside(bag: Path, suffix: str) -> Path:
-    return bag.parent / f"{bag.stem if bag.is_file() else bag.name}{suffix}"
 
 
 def _keys(what: str) -> list[str]:
@@ -197,7 +192,8 @@ def export(
     from ptnsbc_tools.library import reporting
     from ptnsbc_tools.library.flight import flight_in
 
-    path = reporting.checked(_beside(source, ".csv") if output is None else output)
+    name = source.stem if source.is_file() else source.resolve().name
+    path = reporting.checked(output or source.parent / f"{name}.csv")
     with console.patience(f"reading {source}"):
         if (source / "plan.json").is_file() and not (source / METADATA_FILE).exists():
             from ptnsbc_tools.library.sweeping import open_sweep

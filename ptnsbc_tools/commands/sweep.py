@@ -35,9 +35,7 @@ _MOST_NAMED = 5
 _MADE = ("plan.json", "table.parquet", "chunks", "report")
 
 
-def _print_families(wanted: bool) -> None:
-    if not wanted:
-        return
+def _print_families() -> None:
     from ptnsbc_sim.sweep.family import families, family_from_text, find_family
 
     for name in families():
@@ -47,7 +45,6 @@ def _print_families(wanted: bool) -> None:
         except PtnsbcError as error:
             described = f"not in this version: {error}"
         print(f"{name:12} {described}")
-    raise typer.Exit
 
 
 @dataclass(frozen=True)
@@ -151,13 +148,7 @@ def sweep(
     verbose: VerboseOption = False,
     json: JsonOption = False,
     list_families: Annotated[
-        bool,
-        option(
-            "--list-families",
-            "Print the families that can be given by name.",
-            callback=_print_families,
-            is_eager=True,
-        ),
+        bool, option("--list-families", "Print the families that can be given by name.")
     ] = False,
 ) -> None:
     """Fly a scenario many times: the share that meets its deadline.
@@ -169,6 +160,9 @@ def sweep(
     from ptnsbc_tools.sweeps import summary
     from ptnsbc_tools.sweeps.summary import read_sweep
 
+    if list_families:
+        _print_families()
+        return
     if scheduler is not None and workers is not None:
         raise SweepError("--scheduler: the cluster has its own workers: leave out --workers")
     plan = draws.plan(scenario)

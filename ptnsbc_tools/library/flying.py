@@ -70,8 +70,8 @@ def check(
     if dry_runs and all(finding.severity != ERROR for finding in findings):
         from ptnsbc_tools.check.dry_run import flown
 
-        done, found = flown(scenario, dry_runs, progress, strict=strict)
-        return CheckReport(scenario, (*found, *findings), done)
+        report = flown(scenario, dry_runs, progress, strict=strict)
+        return replace(report, findings=(*report.findings, *findings))
     return CheckReport(scenario, tuple(findings))
 
 

@@ -36,7 +36,7 @@ def html(result: Any) -> str:
 def _parts(result: Any) -> Iterable[Any]:
     """The tables and lines that the command line prints of a result."""
     from ptnsbc_tools import tables
-    from ptnsbc_tools.check import overview
+    from ptnsbc_tools.check.dry_run import check_report
     from ptnsbc_tools.sweeps import comparison, summary
 
     match type(result).__name__:
@@ -50,7 +50,7 @@ def _parts(result: Any) -> Iterable[Any]:
                 return [f"{result.scenario.name}: no verdict: {error}"]
             return [tables.deadline_table(verdict), tables.verdict_sentence(verdict)]
         case "CheckReport":
-            return overview.check_report(result, verbose=True)
+            return check_report(result, verbose=True)
         case "Sweep":
             return [*summary.tables(result.flown), summary.line(result.flown)]
         case "SweepComparison":

@@ -132,11 +132,6 @@ class Points(NamedTuple):
     values: Array  # (P,)
 
 
-def thin(t: Array, values: Array, points: int) -> Points:
-    """At most `points` points of a curve (T,) [s] and (T,), see `thinned`."""
-    return thinned(t.size, [(t, {0: values})], points)[0]
-
-
 _Key = TypeVar("_Key")
 
 
@@ -283,13 +278,10 @@ def view_of(
     return FlightView(recording, status, limit_m, verdict, problem, bag)
 
 
-def _look_of(flight: FlightView, uav: int) -> Look:
-    return look(flight.scenario.uav_ids.index(uav))
-
-
 def _curve_of(flight: FlightView, uav: int, t: Array, values: Array) -> Curve:
-    leader = " (leader)" if uav == flight.scenario.leader.id else ""
-    return Curve(f"UAV {uav}{leader}", _look_of(flight, uav), t, values, (uav,))
+    scenario = flight.scenario
+    leader = " (leader)" if uav == scenario.leader.id else ""
+    return Curve(f"UAV {uav}{leader}", look(scenario.uav_ids.index(uav)), t, values, (uav,))
 
 
 def _samples(

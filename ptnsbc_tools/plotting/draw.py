@@ -323,11 +323,6 @@ def draw_flight(flight: FlightView, path: Path) -> Path:
     chart = errors(flight)
     if chart is not None:
         draw_chart(figure.add_subplot(panels[1, :]), chart)
-    figure.supxlabel(
-        f"{scenario.plant.kind}, task {scenario.task_name}, profile {scenario.gains.profile}, "
-        f"avoidance {scenario.formation.avoidance}",
-        fontsize="small",
-    )
     if flight.verdict is not None:
         line = f"{flight.verdict.verdict}. {who_came(flight.verdict.legs[0])}"
         figure.suptitle(textwrap.fill(f"{scenario.name}: {line}", _TITLE))

@@ -37,7 +37,7 @@ from ptnsbc_tools.plotting.charts import (
     charts,
     look,
     overlaid,
-    thin,
+    thinned,
     timeline,
 )
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_sentence, verdict_tables
@@ -169,22 +169,20 @@ def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any
 def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
     """A UAV as the page's script draws it: what does not change in a flight."""
     leader = uav == scenario.leader.id
-    style = look(scenario.uav_ids.index(uav))
     return {
         "id": uav,
         "keepOut": scenario.keep_out_m(uav),
         "leader": leader,
         "parent": scenario.communication.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),
-        "colour": style.colour,
-        "dash": style.dash,
+        **look(scenario.uav_ids.index(uav))._asdict(),
     }
 
 
 def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
     curves = []
     for curve in chart.curves:
-        kept = thin(curve.t, curve.values, points)
+        kept = thinned(curve.t.size, [(curve.t, {0: curve.values})], points)[0]
         arrays = {"t": pack.add(kept.t), "values": pack.add(kept.values)}
         about = {"label": curve.label, "uavs": curve.uavs, "other": curve.other}
         curves.append({**about, **curve.look._asdict(), **arrays})

@@ -30,7 +30,6 @@ _MOST_BINS = 8
 _LEAST_IN_BIN = 10
 _MOST_MAPS = 3
 _FEW = 12  # so many different values are shown one by one
-_MAP_BINS = 6
 _HISTOGRAM_BINS = 40
 _SIZE_IN = (6.4, 4.0)
 START_ERROR = "largest start error [m]"
@@ -51,7 +50,7 @@ class DrawnAxis:
         return np.array_equal(self.centres, np.arange(len(self.labels)))
 
 
-def grouped(name: str, values: Column, most: int = _MOST_BINS) -> DrawnAxis | None:
+def grouped(name: str, values: Column) -> DrawnAxis | None:
     """The flights in groups of one value, or of one bin with as many flights as the others.
 
     None when all values are the same.
@@ -69,7 +68,7 @@ def grouped(name: str, values: Column, most: int = _MOST_BINS) -> DrawnAxis | No
     if len(distinct) <= min(_FEW, max(len(values) // 3, 2)):
         labels = tuple(f"{one:g}" for one in distinct)
         return DrawnAxis(name, labels, distinct.astype(np.float64), group)
-    bins = min(max(len(values) // _LEAST_IN_BIN, 1), most)
+    bins = min(max(len(values) // _LEAST_IN_BIN, 1), _MOST_BINS)
     order = np.argsort(values, kind="stable")
     group = np.empty(len(values), dtype=np.int64)
     group[order] = np.arange(len(values)) * bins // len(values)
@@ -83,13 +82,13 @@ def _label(key: str) -> str:
     return f"{key} [{unit}]" if unit else key
 
 
-def drawn_axes(sweep: FlownSweep, most: int = _MOST_BINS) -> list[DrawnAxis]:
+def drawn_axes(sweep: FlownSweep) -> list[DrawnAxis]:
     """Everything that differs between the flights: the axes of the plan first, the start error last."""
     drawn = sweep.table.drawn
     keys = [axis.key for axis in sweep.plan.axes]
     keys += [key for key in drawn if key not in keys]
-    found = [grouped(_label(key), drawn[key], most) for key in keys]
-    found.append(grouped(START_ERROR, sweep.table.of_flights("start_error_m"), most))
+    found = [grouped(_label(key), drawn[key]) for key in keys]
+    found.append(grouped(START_ERROR, sweep.table.of_flights("start_error_m")))
     return [one for one in found if one is not None]
 
 
@@ -141,20 +140,10 @@ def _heat_map(sweep: FlownSweep, first: DrawnAxis, second: DrawnAxis) -> Any:
 
 
 def _pairs(sweep: FlownSweep) -> list[tuple[DrawnAxis, DrawnAxis]]:
-    """The axes of the plan two by two; without two of them those with the largest effect."""
-    axes = drawn_axes(sweep, _MAP_BINS)
+    """The axes of the plan two by two."""
     keys = {_label(axis.key) for axis in sweep.plan.axes}
-    own = [axis for axis in axes if axis.name in keys]
-    if len(own) < 2:
-        met = sweep.table.flights.met
-
-        def effect(axis: DrawnAxis) -> float:
-            means = [met[axis.group == one].mean() for one in range(len(axis.labels))]
-            return float(max(means) - min(means))
-
-        others = sorted((one for one in axes if one not in own), key=effect, reverse=True)
-        own = [*own, *others][:2]
-    return list(combinations(own, 2))[:_MOST_MAPS]
+    varied = [axis for axis in drawn_axes(sweep) if axis.name in keys]
+    return list(combinations(varied, 2))[:_MOST_MAPS]
 
 
 def _distributions(sweep: FlownSweep) -> Any:

@@ -253,10 +253,11 @@ def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         return Transition(following, f"formation given up: {now.hazard}")
     if silent:
         flight.step_before_failsafe = flight.step
-        # A bridge that stood still has let its state and its setpoints age itself.
-        stood = f"this bridge stood still for {flight.stood_still_s:.1f} s"
         why = now.state_fault or "the controller is silent"
-        return Transition(Step.FAILSAFE, f"no setpoints: {stood if flight.stood_still_s else why}")
+        if flight.stood_still_s > 0.0:  # so it has let its state and its setpoints age itself
+            stood = f"this bridge stood still for {flight.stood_still_s:.1f} s"
+            why = f"{stood}: give its computer less work"
+        return Transition(Step.FAILSAFE, f"no setpoints: {why}")
     return None
 
 

@@ -116,7 +116,9 @@ def test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe():
     fleet.run(3.0)
     assert uav.step is Step.FLY
     assert uav.vehicle.mode_name == "OFFBOARD"
-    assert uav.bridge.procedure.fault == "no setpoints: this bridge stood still for 1.8 s"
+    assert uav.bridge.procedure.fault == (
+        "no setpoints: this bridge stood still for 1.8 s: give its computer less work"
+    )
 
 
 def test_a_vehicle_that_is_rebooted_is_not_armed_again():

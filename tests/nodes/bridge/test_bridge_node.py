@@ -68,7 +68,7 @@ def bridge(ros, monkeypatch):
         def configure():
             link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
             bridge_node = BridgeNode(
-                node, scenario, UAV, edges, link, BridgeOptions(True), lambda: None
+                node, scenario, UAV, edges, link, BridgeOptions(True), lambda _: None
             )
             bridge_node.bridge.wait_and_serve = lambda: None
             return bridge_node

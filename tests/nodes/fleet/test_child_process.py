@@ -86,6 +86,24 @@ def test_an_exit_summary_has_the_last_lines_of_the_log(program):
     assert child.exit_summary().endswith("    one\n    two")
 
 
+def test_messages_of_one_cause_are_one_line_with_their_count(program):
+    """ROS writes level, time and node before each."""
+    log = ["bridge1: landing at 3 m", "bridge1: landing at 2 m"]
+    for second in range(5):
+        log += [
+            f"[ERROR] [179{second}.5] [uav1.bridge]: late for 0.{second} s",
+            "[INFO] [179.1] [b]: all is well",
+        ]
+    child = program(f"print({log!r}, sep='\\n'); raise SystemExit(1)".replace("print(", "print(*"))
+    wait_for_exit(child)
+    assert child.tail().splitlines() == [
+        "    bridge1: landing at 3 m",
+        "    bridge1: landing at 2 m",
+        "    [ERROR] late for 0.4 s (5 times)",
+        "    [INFO] all is well (5 times)",
+    ]
+
+
 def test_new_lines_come_once_and_whole(program):
     child = program("print('one\\ntwo\\nthr', end='')")
     wait_for_exit(child)

@@ -114,7 +114,7 @@ def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
 class Child:
     def __init__(self, name, *uavs):
         self.name, self.pid, self.exit_code, self.signals = name, 7, None, []
-        self.log_size = 0
+        self.log_size, self.log, self.fault = 0, Path("logs", f"{name}.log"), ""
         self.command = ProcessCommand(name, "module", (), uavs)
 
     def send(self, number):
@@ -365,6 +365,26 @@ def test_a_bridge_that_dies_in_flight_leaves_its_last_word(monkeypatch, tmp_path
         f"bridge1: {WORD}: without setpoints it hovers; ptnsbc stop reaches it past its bridge"
     ]
     assert fleet.lost == ["uav1", "uav2"]
+
+
+@pytest.mark.ros
+def test_faults_of_one_cause_are_one_line_at_the_end(monkeypatch, tmp_path):
+    """Seen on a busy host: twelve lines of the log of each bridge, all of one cause."""
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", "bridge3", "bridge4")
+    monkeypatch.setattr(flights, "end", lambda *_: None)
+    fleet.end, fleet.leave = (lambda _seconds: None), (lambda: None)
+    stood = "no setpoints: this bridge stood still for {} s: give its computer less work"
+    faults = [stood.format(0.5), stood.format(0.7), "the battery is low", ""]
+    for bridge, bridge.fault in zip(fleet.bridges, faults, strict=True):
+        bridge.exit_code = 1
+    fleet.supervisor._report_exits()
+    assert fleet.said == ["bridge4 has ended with 1"]
+    fleet.supervisor.end()
+    assert fleet.said[1:] == [
+        f"not as planned: bridge1, bridge2 (2): {faults[0]}; logs in logs",
+        "not as planned: bridge3 (1): the battery is low; logs in logs",
+    ]
+    assert [child.name for child in fleet.supervisor.died] == [f"bridge{n}" for n in (1, 2, 3, 4)]
 
 
 @pytest.mark.ros

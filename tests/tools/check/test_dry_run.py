@@ -8,7 +8,6 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep.dry_run import DryFlight, DryRun, Remedy
 from ptnsbc_sim.sweep.rows import not_flown
 from ptnsbc_tools.check import CheckReport, check, dry_run
-from ptnsbc_tools.check.overview import check_report
 
 SCENARIO = load_scenario("paper_5_free")
 GOOD = DryFlight("met", 2, "", 0.01, 0.5)
@@ -83,7 +82,7 @@ def test_strictly_late_is_refused_and_named_first():
     flights = DryRun((WAY,))
     report = CheckReport(SCENARIO, tuple(dry_run.findings(SCENARIO, flights, strict=True)), flights)
     assert not report.ok
-    assert str(next(check_report(report))) == (
+    assert str(next(dry_run.check_report(report))) == (
         f"{SCENARIO.name}: refused: dry run: late: 2 of 5 UAVs in place after the deadline"
     )
 

@@ -109,7 +109,7 @@ def flown(**changes: Any) -> Any:
     ("changes", "lines"),
     [
         ({}, []),
-        ({"died": ("uav3",)}, ["uav3 ended before its time"]),
+        ({"died": ("uav3",)}, ["uav3: ended early, or with a fault"]),
         ({"killed": ("uav1",)}, ["uav1 was killed, as the scenario has it"]),
         (
             {"recorded": {**RECORDED, "late": 2}},
@@ -122,14 +122,14 @@ def flown(**changes: Any) -> Any:
         (
             {"died": ("recorder",), "recorded": {}},
             [
-                "recorder ended before its time",
+                "recorder: ended early, or with a fault",
                 "the recorder left no count of its messages: the bag may be cut",
             ],
         ),
     ],
 )
 def test_losses_are_told(changes: dict[str, Any], lines: list[str]) -> None:
-    assert list(fleet._losses(flown(**changes))) == lines
+    assert list(fleet._losses(flown(**changes), leads=True)) == lines
 
 
 @pytest.mark.parametrize(("ended", "code"), [(0, 1), (1, 1), (130, 130)])

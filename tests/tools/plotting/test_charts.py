@@ -29,7 +29,6 @@ from ptnsbc_tools.plotting.charts import (
     MOST_DISTANCES,
     charts,
     look,
-    thin,
     thinned,
     view_of,
 )
@@ -269,7 +268,7 @@ CURVES = arrays(
 @given(CURVES, st.integers(8, 60))
 def test_ends_peaks_and_gaps_stay(values, points):
     t = np.arange(values.size, dtype=np.float64)
-    kept = thin(t, values, points)
+    kept = thinned(t.size, [(t, {0: values})], points)[0]
     assert kept.t.size == kept.values.size <= max(points, 8)
     assert (kept.t[0], kept.t[-1]) == (0, values.size - 1)
     assert (np.diff(kept.t) > 0).all()
@@ -284,14 +283,14 @@ def test_a_needle_keeps_its_height_and_its_time():
     t = np.linspace(0, 60, 6001)
     values = np.zeros(6001)
     values[1234] = 7.0
-    kept = thin(t, values, 200)
+    kept = thinned(t.size, [(t, {0: values})], 200)[0]
     assert kept.values.max() == 7.0
     assert kept.t[kept.values.argmax()] == t[1234]
 
 
 def test_what_is_short_is_left_alone():
     t, values = np.arange(5.0), np.arange(5.0)
-    np.testing.assert_array_equal(thin(t, values, 8).values, values)
+    np.testing.assert_array_equal(thinned(t.size, [(t, {0: values})], 8)[0].values, values)
 
 
 @given(CURVES, st.integers(8, 60), st.data())

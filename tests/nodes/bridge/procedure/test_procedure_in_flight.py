@@ -59,7 +59,9 @@ def test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_cont
     flight.snapshot = replace(flight.snapshot, now_s=stopped + 1.5)
     flight.run(0.5, mode=FlightMode.HOLD)  # no pilot: the failsafe of the vehicle has acted
     assert flight.step is Step.FAILSAFE
-    assert flight.procedure.fault == "no setpoints: this bridge stood still for 1.5 s"
+    assert flight.procedure.fault == (
+        "no setpoints: this bridge stood still for 1.5 s: give its computer less work"
+    )
     flight.run(0.7).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
     assert flight.requested(stopped) == []
