@@ -328,11 +328,10 @@ def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
     for table in tables:
         print_plain(table)
     out.print()
-    lines = reasons(verdict, all_of_them=showing.verbose)
     if showing.verbose:
         for table in verdict_tables(verdict):
             out.print(*console.narrowed(table, out), sep="\n")
-    for line in lines:
+    for line in reasons(verdict, all_of_them=showing.verbose):
         out.print(line, soft_wrap=True)
     for key, value in files.items():
         if isinstance(value, Path):

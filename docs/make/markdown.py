@@ -23,6 +23,11 @@ def _line(cells: Sequence[str]) -> str:
     return "".join(f"| {cell} " if cell else "| " for cell in escaped) + "|"
 
 
+def region(page: str, name: str) -> str:
+    """The text of a `made` region of a page."""
+    return next(found[3] for found in _REGION.finditer(page) if found[2] == name).strip()
+
+
 def remade(page: str, regions: Mapping[str, str]) -> str:
     """The text of a page with each `made` region in it filled anew; the rest is left alone."""
     named = [found[2] for found in _REGION.finditer(page)]

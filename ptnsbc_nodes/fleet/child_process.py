@@ -339,7 +339,7 @@ class ChildProcess:
 
     @property
     def fault(self) -> str:
-        """Why the flight of a bridge that has ended in order did not go as planned; empty for any other process."""
+        """The reason why a bridge that has ended in order did not fly as planned; empty for any other process."""
         flew_otherwise = self.command.module == BRIDGE and self.exit_code
         return self.reports.summary or "" if flew_otherwise else ""
 

@@ -69,7 +69,9 @@ def simulate(
     if bag is not None:
         with console.progress("recording") as advance:
             bag = flight.save(bag, overwrite=overwrite, progress=advance).bag
-    verdict = flight.verdict
     if picture is not None:
         flight.save_picture(picture)
-    raise typer.Exit(show_verdict(verdict, showing, bag=bag, picture=picture))
+    code = show_verdict(flight.verdict, showing, bag=bag, picture=picture)
+    if bag is None and not showing.json:
+        console.show("next: record it with --bag DIR, then ptnsbc report DIR")
+    raise typer.Exit(code)

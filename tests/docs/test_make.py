@@ -8,7 +8,7 @@ import pytest
 
 from docs.make import __main__ as command
 from docs.make import cli, json_schemas, scenarios, tutorial
-from docs.make.markdown import RegionError, remade, table
+from docs.make.markdown import RegionError, region, remade, table
 from docs.make.schema import REQUIRED, meanings, rows
 from ptnsbc_io.bag import read_bag
 from ptnsbc_nodes.comm import topics
@@ -164,6 +164,19 @@ def test_defaults_of_gains_are_those_of_a_flight(plant, made_scenarios):
 def test_a_transcript_of_the_tutorial_is_one_screen(name):
     shown = tutorial.transcript(*tutorial.COMMANDS[name]).splitlines()[1:]
     assert len(shown) <= 24 and max(map(len, shown)) <= 80
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_the_transcript_of_the_demo_is_that_of_a_flight():
+    pytest.importorskip("rclpy")
+    shown = region(tutorial.PAGE.read_text("utf-8"), tutorial.DEMO)
+    assert tutorial.demo() == shown, "python -m docs.make.tutorial"
+
+
+def test_the_transcript_of_the_demo_is_one_screen():
+    shown = region(tutorial.PAGE.read_text("utf-8"), tutorial.DEMO).splitlines()[2:-1]
+    assert 12 < len(shown) <= 24 and max(map(len, shown)) <= 80
 
 
 def test_every_command_has_its_options():

@@ -1,25 +1,21 @@
-"""The README: its verdict is what a flight prints, and the index leads to every page."""
+"""The README: its verdict is what `make demo` prints, and the index leads to every page."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-import pytest
-from typer.testing import CliRunner
-
-from ptnsbc_tools.cli import app
+from docs.make import tutorial
+from docs.make.markdown import region
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.slow
-def test_the_verdict_is_that_of_the_flight():
-    """`make demo` flies the same: a fleet in lock-step and one process give the same verdict."""
+def test_the_verdict_is_that_of_the_demo():
     (shown,) = re.findall(
         r"^Verdict: .*?(?=^```$)", (ROOT / "README.md").read_text("utf-8"), re.M | re.S
     )
-    printed = CliRunner().invoke(app, ["simulate", "paper_5"]).stdout
+    _, printed = region(tutorial.PAGE.read_text("utf-8"), tutorial.DEMO).split("$ ptnsbc demo\n")
     assert shown.split() == printed.partition("\n\n")[0].split()
 
 

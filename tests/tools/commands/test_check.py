@@ -1,4 +1,4 @@
-"""`ptnsbc new` and `scenarios`: files that are written whole, and a list that stands a broken file."""
+"""`ptnsbc new`, `scenarios` and `check`: files that are written whole, a list that stands a broken file, a plan."""
 
 from __future__ import annotations
 
@@ -46,3 +46,12 @@ def test_the_list_stands_a_broken_file(tmp_path: Path, monkeypatch: pytest.Monke
     assert {"paper_5", "mine", "broken"} <= set(rows)
     assert rows["mine"]["uavs"] == 3 and "error" in rows["broken"]
     assert "paper_20" in run("scenarios")[1]
+
+
+def test_the_plan_is_drawn_before_the_flight(tmp_path: Path) -> None:
+    picture, words = tmp_path / "plan.png", ("check", "paper_5_free", "--duration", 6, "-n", 0)
+    code, _, err = run(*words, "--picture", picture)
+    assert (code, err) == (0, f"picture: {picture}\n")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    code, _, err = run(*words, "--picture", tmp_path / "plan.xyz")
+    assert code == 2 and "expected .png, .svg or .pdf" in err
