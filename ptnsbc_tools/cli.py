@@ -188,7 +188,7 @@ app = typer.Typer(
         # Typer's own default is no bool, and Typer loads Pydantic to make it one.
         "default_map": {"install_completion": False, "show_completion": False, "help": False},
     },
-    help="Fly UAVs into a formation by a deadline: check, fly, record, judge.",
+    help="UAVs in formation by a deadline: check, fly, record and judge.",
     epilog="Begin with `ptnsbc demo`. Every command: `ptnsbc help all`.\n\n"
     "Exit codes: 0 deadlines met, 1 not met, 2 refused, 130 interrupted.",
 )

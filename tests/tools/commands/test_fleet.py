@@ -12,6 +12,7 @@ import pytest
 
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.check import dry_run
 from ptnsbc_tools.commands import fleet
 from ptnsbc_tools.live.dashboard import Viewer
 from ptnsbc_tools.options import Showing
@@ -190,7 +191,7 @@ def test_real_vehicles_do_not_arm_before_dry_runs(
 
         return call
 
-    monkeypatch.setattr(fleet, "_refuse_dry_runs", ends("dry runs"))
+    monkeypatch.setattr(dry_run, "flown", ends("dry runs"))
     monkeypatch.setattr(fleet, "_fly", ends("flown"))
     with pytest.raises(EndedError, match=first):
         parts = fleet.Parts(backend=backend)
