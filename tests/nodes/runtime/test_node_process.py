@@ -173,9 +173,13 @@ def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeyp
     monkeypatch.setattr(
         processes, "make_executor", lambda _: SimpleNamespace(add_node=id, shutdown=int)
     )
+    reports: list[str] = []
+    monkeypatch.setattr(processes, "report_finished", reports.append)
     lifetime = processes.ProcessLifetime()
-    lifetime.end()
+    lifetime.end("landed early")
+    lifetime.end()  # of the signal that follows
     lifetime.serve([node], lambda: [Deaf(words) for _ in range(5)])
+    assert reports == ["landed early"]
     assert words == [0.0] * 5
     assert Deaf.now_s == processes.FLUSH_S
 
