@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -38,18 +38,13 @@ class CheckReport:
     scenario: Scenario = field(repr=False)
     findings: tuple[Finding, ...]
     flown: DryRun | None = field(default=None, repr=False)
+    plan: Mapping[str, str] = field(default_factory=dict, repr=False)
+    """In a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
 
     @property
     def ok(self) -> bool:
         """True if nothing that was found is an error."""
         return all(finding.severity != ERROR for finding in self.findings)
-
-    @property
-    def plan(self) -> dict[str, str]:
-        """The plan in a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
-        from ptnsbc_tools.check.dry_run import plan
-
-        return plan(self.scenario, self.findings, self.flown)
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(self.findings)

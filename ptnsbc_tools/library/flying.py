@@ -64,15 +64,17 @@ def check(
     `dry_runs` perturbed flights are flown when the rest finds no error; 0: none. `strict` refuses a scenario whose
     flight will be *met late*.
     """
+    from ptnsbc_tools.check.dry_run import flown, plan
+
     scenario = load(scenario)
     with console.compiling():
         findings = findings_of(scenario)
+    flights = None
     if dry_runs and all(finding.severity != ERROR for finding in findings):
-        from ptnsbc_tools.check.dry_run import flown
-
         report = flown(scenario, dry_runs, progress, strict=strict)
-        return replace(report, findings=(*report.findings, *findings))
-    return CheckReport(scenario, tuple(findings))
+        findings, flights = [*report, *findings], report.flown
+    told = plan(scenario, findings, flights)
+    return CheckReport(scenario, tuple(findings), flights, told)
 
 
 def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None = None) -> Flight:
