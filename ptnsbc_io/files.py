@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,16 +26,17 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     Raises:
         OutputFileError: the block or the renaming raised OSError.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(f".{path.name}.{threading.get_native_id()}.part")
     try:
         if folder:
             path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         part.replace(path)
     except OSError as error:
+        raise OutputFileError(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
         with suppress(OSError):
             part.unlink()
-        raise OutputFileError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 class KeyFileError(PtnsbcError):
@@ -58,13 +59,13 @@ def read_key(path: Path) -> bytes:
         )
     text = raw.strip()
     if len(text) == 2 * KEY_BYTES:
-        try:
-            return bytes.fromhex(text.decode("ascii"))
-        except ValueError:  # UnicodeDecodeError is one too
-            pass
+        with suppress(ValueError):  # UnicodeDecodeError is one too
+            raw = bytes.fromhex(text.decode("ascii"))
     if len(raw) != KEY_BYTES:
         raise KeyFileError(
             f"{path}: {len(raw)} bytes: expected {KEY_BYTES}, or {2 * KEY_BYTES} hexadecimal "
             "digits: head -c 32 /dev/urandom | xxd -p -c 64"
         )
+    if not any(raw):
+        raise KeyFileError(f"{path}: zeros only: expected {KEY_BYTES} random bytes")
     return raw

@@ -66,7 +66,7 @@ def read_points(path: Path) -> Array:
 def _csv(data: bytes) -> Array:
     """Rows x, y, z and what else a row may have; a first row of names is left out."""
     try:
-        lines = data.decode("utf-8").splitlines()
+        lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise PointCloudFileError(f"byte {error.start}: expected UTF-8 text") from None
     rows = [line for line in lines if line.strip() and not line.startswith("#")]

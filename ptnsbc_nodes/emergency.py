@@ -248,7 +248,7 @@ class OrderClient:
         return True
 
     def answers(self) -> list[bytes]:
-        """The orders that have arrived."""
+        """The answers that have arrived, a record each."""
         found = []
         with suppress(OSError):
             while True:

@@ -275,6 +275,28 @@ def plain_yaml(text: str) -> Any:
         raise ValueError(f"not YAML: {error}") from None
 
 
+def offered_profiles(text: str) -> list[dict[str, Any]]:
+    """The profiles that a channel states; none when it states anything else than numbers, texts and durations."""
+    try:
+        profiles = plain_yaml(text)
+    except ValueError:
+        return []
+    if not isinstance(profiles, list) or not all(isinstance(one, dict) for one in profiles):
+        return []
+    values = [value for profile in profiles for value in profile.values()]
+    parts = [part for v in values for part in (v.values() if isinstance(v, dict) else [v])]
+    plain = all(isinstance(part, str | int | float) for part in parts)
+    plain = plain and all(isinstance(key, str | int | float) for one in profiles for key in one)
+    fits = all(abs(part) < 2**64 for part in parts if isinstance(part, int))
+    return profiles if plain and fits else []
+
+
+def is_latched(offered_qos: str) -> bool:
+    """True if the first publisher of a topic kept messages for who joins late; rosbag2 writes words, once numbers."""
+    first = next(iter(offered_profiles(offered_qos)), {})
+    return str(first.get("durability")).lower() in ("transient_local", "1")
+
+
 def to_yaml(value: Any, indent: str = "") -> str:
     """Nested dicts, lists and scalars as block YAML.
 

@@ -8,7 +8,7 @@ caller knows that no older message is under way.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import NamedTuple
 
 HOLD_TICKS = 20
@@ -42,36 +42,37 @@ class ReorderBuffer:
         self._released_ns = -1
         self.late = 0  # messages that came after their stamp was released: in chance order
 
-    def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[PendingMessage]:
-        """Add a message; returns the messages that are released now."""
+    def push(self, stamp_ns: int, topic: str, data: bytes) -> None:
+        """Add a message."""
         arrival = self._arrivals.get(topic, 0)
         if topic not in self._shared:
             self._arrivals[topic] = arrival + 1
-        message = PendingMessage(stamp_ns, topic, arrival, data)
-        if stamp_ns <= self._released_ns:
-            self.late += 1
-            return iter((message,))
+        self.late += stamp_ns <= self._released_ns
         if stamp_ns not in self._held:
             self._held[stamp_ns] = []
             heapq.heappush(self._stamps, stamp_ns)
-        self._held[stamp_ns].append(message)
+        self._held[stamp_ns].append(PendingMessage(stamp_ns, topic, arrival, data))
+
+    def release(self) -> Iterable[PendingMessage]:
+        """The messages that nothing can come before, in order; they are held no longer."""
         return self._release(self._hold_ticks)
 
-    def first(self) -> Iterator[PendingMessage]:
+    def first(self) -> Iterable[PendingMessage]:
         """The messages of the oldest stamp, in order, if it is complete: they wait for no later stamps.
 
         For a caller who knows that no topic without regular messages has one more of this stamp.
         """
         return self._release(max(len(self._stamps) - 1, 0))
 
-    def flush(self) -> Iterator[PendingMessage]:
+    def flush(self) -> Iterable[PendingMessage]:
         """All messages that are still held, in order."""
         self.complete_ns = _NO_LIMIT
         return self._release(0)
 
-    def _release(self, keep: int) -> Iterator[PendingMessage]:
+    def _release(self, keep: int) -> Iterable[PendingMessage]:
         released: list[PendingMessage] = []
         while len(self._stamps) > keep and self._stamps[0] <= self.complete_ns:
-            self._released_ns = heapq.heappop(self._stamps)
-            released += sorted(self._held.pop(self._released_ns))
-        return iter(released)
+            stamp_ns = heapq.heappop(self._stamps)
+            self._released_ns = max(stamp_ns, self._released_ns)
+            released += sorted(self._held.pop(stamp_ns))
+        return released

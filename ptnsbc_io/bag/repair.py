@@ -9,12 +9,18 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage, MessageRecord, walk
-from ptnsbc_io.bag.metadata import BagError, DamagedError, TopicDeclaration, plain_yaml
+from ptnsbc_io.bag.metadata import (
+    BagError,
+    DamagedError,
+    TopicDeclaration,
+    is_latched,
+    offered_profiles,
+)
 from ptnsbc_io.bag.reader import mcap_files, read_bag
 from ptnsbc_io.bag.writer import BagWriter
 
@@ -22,7 +28,6 @@ _PART = ".part"
 _ORIGINAL = ".original"
 _REPAIRING = ".repairing"
 _PROGRESS_EVERY = 5000  # messages
-_LATCHED = ("transient_local", "durability: 1\n")  # as rosbag2 writes it, by name or by number
 
 Progress = Callable[[int, int], None]
 
@@ -166,26 +171,10 @@ def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
                 schema.encoding,
                 channel.message_encoding,
                 channel.metadata.get("topic_type_hash", ""),
-                _qos(channel.metadata.get("offered_qos_profiles", "")),
+                offered_profiles(channel.metadata.get("offered_qos_profiles", "")),
                 dict(channel.metadata),
             )
     return list(found.values())
-
-
-def _qos(text: str) -> list[dict[str, Any]]:
-    """The profiles that a channel states; none when it states anything else than numbers, texts and durations."""
-    try:
-        profiles = plain_yaml(text)
-    except ValueError:
-        return []
-    if not isinstance(profiles, list) or not all(isinstance(one, dict) for one in profiles):
-        return []
-    values = [value for profile in profiles for value in profile.values()]
-    parts = [part for v in values for part in (v.values() if isinstance(v, dict) else [v])]
-    plain = all(isinstance(part, str | int | float) for part in parts)
-    plain = plain and all(isinstance(key, str | int | float) for one in profiles for key in one)
-    fits = all(abs(part) < 2**64 for part in parts if isinstance(part, int))
-    return profiles if plain and fits else []
 
 
 def trim(
@@ -205,11 +194,7 @@ def trim(
         BagError: no bag, or no message in this span.
     """
     bag = read_bag(path)
-    latched = {
-        name
-        for name, topic in bag.topics.items()
-        if any(word in f"{topic.offered_qos}\n" for word in _LATCHED)
-    }
+    latched = {name for name, topic in bag.topics.items() if is_latched(topic.offered_qos)}
 
     def kept() -> Iterator[BagMessage]:
         for message in bag.messages():

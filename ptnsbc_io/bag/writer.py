@@ -388,7 +388,7 @@ class BagWriter:
 
     def _rename_part(self) -> None:
         """Rename `<dir>.part` to `<dir>`; with `overwrite` the old bag is removed only then."""
-        old = self.directory.with_name(self.directory.name + ".old")
+        old = self.directory.with_name(f".{self.directory.name}.{os.getpid()}.old")
         try:
             if self._overwrite and self.directory.exists():
                 # Moved away first: the old bag or the new one exists at any time.

@@ -94,10 +94,12 @@ class ParameterReader:
                 yield name
 
     def on_param_value(self, message: Any) -> None:
-        """Store a PARAM_VALUE if it was requested; only the first answer counts."""
+        """Store a PARAM_VALUE if it was requested; only the first answer counts, and none that is no number."""
         name = str(message.param_id)
         if self._requests.get(name) and name not in self.values:
-            self.values[name] = decoded(raw_value(message), message.param_type, self._encoding)
+            value = decoded(raw_value(message), message.param_type, self._encoding)
+            if math.isfinite(value):
+                self.values[name] = value
 
 
 _CENTI = 0.01

@@ -130,9 +130,12 @@ class Refusals:
 
 
 class Door(Generic[T]):
-    """The callback of one subscription to `topic`: a PtnsbcError of `decode` refuses a message."""
+    """The callback of one subscription to `topic`: a PtnsbcError of `decode` refuses a message.
 
-    __slots__ = ("_decode", "_deliver", "_largest", "_refusals", "_topic")
+    `after` is called after each message, refused or not.
+    """
+
+    __slots__ = ("_after", "_decode", "_deliver", "_largest", "_refusals", "_topic")
 
     def __init__(
         self,
@@ -141,9 +144,10 @@ class Door(Generic[T]):
         deliver: Callable[[T], None],
         refusals: Refusals,
         largest: int = LARGEST_MESSAGE,
+        after: Callable[[], None] = lambda: None,
     ) -> None:
         self._topic, self._largest, self._refusals = topic, largest, refusals
-        self._decode, self._deliver = decode, deliver
+        self._decode, self._deliver, self._after = decode, deliver, after
 
     def __call__(self, data: bytes) -> None:
         """Deliver the message, or refuse it."""
@@ -152,11 +156,12 @@ class Door(Generic[T]):
                 raise WireError(f"{len(data)} bytes: expected {self._largest} at most")
             message = self._decode(data)
         except RepetitionError:
-            return
+            pass
         except PtnsbcError as error:
             self._refusals.add(self._topic, str(error))
-            return
-        self._deliver(message)
+        else:
+            self._deliver(message)
+        self._after()
 
 
 class RefusedMessage(NamedTuple):

@@ -90,7 +90,7 @@ class Endpoints:
         node: Node,
         lockstep: bool,
         seal: Seal | None = None,
-        after: Callable[[], None] | None = None,
+        after: Callable[[], None] = lambda: None,
     ) -> None:
         """`seal`: closes what is published and opens what is received; `after`: called after each message."""
         self.fleet = fleet_namespace(node.get_namespace())
@@ -144,21 +144,14 @@ class Endpoints:
         A `required` topic needs a publisher before the flight; `profile` is used instead of the topic's own. Returns
         the topic's name after remapping, as `unheard` has it.
         """
-        name, read, take, after = full_name(self._node, topic), decode, deliver, self._after
-        if after is not None:
-
-            def deliver_and_go_on(message: T) -> None:
-                deliver(message)
-                after()
-
-            take = deliver_and_go_on
+        name, read = full_name(self._node, topic), decode
         if self._seal is not None:
             open_sealed = self._seal.opener(topic, lockstep=self._lockstep)
             read = lambda data: decode(open_sealed(data))  # noqa: E731
         subscription = self._node.create_subscription(
             message_class(topic),
             name,
-            Door(name, read, take, self.refusals),
+            Door(name, read, deliver, self.refusals, after=self._after),
             profile or qos.requested(topic, lockstep=self._lockstep),
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,

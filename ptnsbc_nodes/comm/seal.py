@@ -90,8 +90,8 @@ class Seal:
             if timed and not -WINDOW_S <= age_s <= window_s:
                 raise SealError(f"sealed {age_s:.1f} s ago: expected {window_s:g} s at most")
             if topic.name == EPOCH.name:  # of two legs the one announced last counts
-                if sent_ns < newest_ns:
-                    raise SealError("a leg that was announced before the newest one")
+                if sent_ns <= newest_ns:
+                    raise SealError("a leg that is not newer than the one before")
                 newest_ns = sent_ns
             return data[:-SEAL_BYTES]
 
@@ -136,9 +136,9 @@ def new_key(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(os.urandom(KEY_BYTES).hex() + "\n")
     except FileExistsError:
         raise SealError(f"{path} exists: expected a new file; a key is never overwritten") from None
     except OSError as error:
         raise SealError(f"{path}: {error.strerror}: expected a place for the key") from None
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(os.urandom(KEY_BYTES).hex() + "\n")

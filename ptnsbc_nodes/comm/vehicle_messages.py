@@ -1,21 +1,20 @@
 """The messages of a bridge besides odometry: the vehicle's limits and battery, and the origin of the world.
 
-These messages are rare, so message objects are fast enough.
+These messages are rare, so message objects are fast enough to write them. What comes from outside never reaches
+rclpy's deserialiser.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState, NavSatFix
 from std_msgs.msg import Float64MultiArray
 
 from ptnsbc_core.types import AgentConfig
-from ptnsbc_io.cdr import encode, split_stamp
+from ptnsbc_io.cdr import Reader, WireError, encode, split_stamp
 from ptnsbc_io.mavlink.frames import GeoPoint
-from ptnsbc_io.wire import WireError
 
 _HIGHEST_M = 1e5
 
@@ -34,11 +33,16 @@ def encode_limits(limits: PlannerLimits) -> bytes:
 
 def decode_limits(data: bytes) -> PlannerLimits:
     """The limits in a Float64MultiArray; WireError unless both are finite and above zero."""
-    numbers = _deserialized(data, Float64MultiArray).data
-    if len(numbers) < 2 or not all(0.0 < number < math.inf for number in numbers[:2]):
-        shown = ", ".join(f"{number:g}" for number in numbers[:2]) or "nothing"
+    reader = Reader(data, "std_msgs/Float64MultiArray")
+    for _ in range(*reader.numbers("I")):  # dimensions: label, size, stride
+        reader.text()
+        reader.numbers("II")
+    _, count = reader.numbers("II")  # offset of the data, length
+    limits = PlannerLimits(*reader.numbers("dd", 8)) if count >= 2 else PlannerLimits(0.0, 0.0)
+    if not all(0.0 < number < math.inf for number in limits):
+        shown = ", ".join(f"{number:g}" for number in limits[:count]) or "nothing"
         raise WireError(f"limits {shown}: expected a speed and an acceleration above 0")
-    return PlannerLimits(float(numbers[0]), float(numbers[1]))
+    return limits
 
 
 def encode_battery(
@@ -88,17 +92,13 @@ def encode_origin(place: GeoPoint) -> bytes:
 
 def decode_origin(data: bytes) -> GeoPoint:
     """The position in a NavSatFix; WireError for one that is not on the Earth."""
-    fix = _deserialized(data, NavSatFix)
-    on_earth = abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0
-    if not (on_earth and abs(fix.altitude) <= _HIGHEST_M):
-        place = f"{fix.latitude:g}, {fix.longitude:g}, {fix.altitude:g} m"
+    reader = Reader(data, "sensor_msgs/NavSatFix")
+    reader.stamp()
+    reader.text()  # frame_id
+    reader.numbers("bxH", 2)  # status, service
+    latitude, longitude, altitude = reader.numbers("ddd", 8)
+    on_earth = abs(latitude) <= 90.0 and abs(longitude) <= 180.0
+    if not (on_earth and abs(altitude) <= _HIGHEST_M):
+        place = f"{latitude:g}, {longitude:g}, {altitude:g} m"
         raise WireError(f"origin {place}: expected degrees on the Earth, {_HIGHEST_M:g} m at most")
-    return GeoPoint(fix.latitude, fix.longitude, fix.altitude)
-
-
-def _deserialized(data: bytes, kind: Any) -> Any:
-    """A message object; WireError, whatever rclpy raises."""
-    try:
-        return deserialize_message(data, kind)
-    except Exception as error:  # the classes depend on the middleware
-        raise WireError(f"{kind.__name__}: {' '.join(str(error).split())}") from None
+    return GeoPoint(latitude, longitude, altitude)

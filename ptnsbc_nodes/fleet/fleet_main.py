@@ -48,10 +48,10 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     end = "interrupted" if result.interrupted else "landed"
     gone = (*result.died, *result.killed)
     lost = f", lost {', '.join(gone)}" if gone else ""
-    kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
-    for what in ("late", "lost"):
-        if result.recorded.get(what):
-            kept += f", {result.recorded[what]} {what}"
+    recorded = result.recorded
+    kept = f", {recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
+    kept += "".join(f", {recorded[what]} {what}" for what in ("late", "lost") if recorded.get(what))
+    kept += f", {recorded['refused']}" if recorded.get("refused") else ""
     seconds = f"{result.flight_s:.1f} s (start-up {result.startup_s:.1f} s)"
     _say(f"{end} after {seconds}{lost}{kept}")
     return result.exit_code

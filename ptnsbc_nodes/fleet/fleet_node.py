@@ -18,7 +18,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ptnsbc_io.wire import (
@@ -36,7 +35,7 @@ from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, SIM
 from ptnsbc_nodes.emergency import Order, VehicleRecord, reported, runtime_folder
-from ptnsbc_nodes.runtime.node_process import plain_node
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, plain_node
 from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 
 _REQUEST_S = 1.0
@@ -71,7 +70,9 @@ class FleetNode:
         self._joined = ExitStack()
         self.node, executor = self._joined.enter_context(self._plain())
         self.executor: Any = executor
-        self.endpoints = Endpoints(self.node, lockstep=True, seal=self.seal)
+        self._slices = BoundedSpin(executor)
+        after = self._slices.look
+        self.endpoints = Endpoints(self.node, lockstep=True, seal=self.seal, after=after)
         for join in self._joins:
             join()
 
@@ -97,7 +98,7 @@ class FleetNode:
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while."""
-        self.executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+        self._slices.serve(seconds)
 
     def sees(self, node: str) -> bool:
         """True if a node of this name is in the graph of ROS."""

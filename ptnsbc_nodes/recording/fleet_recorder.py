@@ -58,18 +58,15 @@ class Completeness:
 
     def add(self, source: str, stamp_ns: int) -> bool:
         """A message of a source, whatever its name; returns whether `complete_ns` has moved."""
-        newest = self._newest.get(source)
+        newest, silences = self._newest.get(source), self._silences.get(source, ())
         if newest is None or stamp_ns <= newest:
             return False
-        if newest >= 0:
-            gap = min(stamp_ns - newest, self._gap.get(source, _NEVER))
-            self._gap[source] = gap
-            self.tick_ns = min(self.tick_ns, gap)
-        else:
-            gap = 1
+        if newest >= 0 and not any(newest < first_ns < stamp_ns for first_ns, _ in silences):
+            self._gap[source] = min(stamp_ns - newest, self._gap.get(source, _NEVER))
+            self.tick_ns = min(self.tick_ns, self._gap[source])
         self._newest[source] = stamp_ns
-        bound = stamp_ns + gap - 1
-        for first_ns, end_ns in self._silences.get(source, ()):
+        bound = stamp_ns + self._gap.get(source, 1) - 1
+        for first_ns, end_ns in silences:
             if first_ns <= bound + 1 < end_ns:
                 bound = end_ns - 1
         before, self._bounds[source] = self._bounds[source], bound
@@ -169,7 +166,7 @@ class LockstepRecorder(BagRecorder):
         self._order = ReorderBuffer(_SHARED)
         self._order.complete_ns = self._completeness.complete_ns
         self._written_ns = -1
-        # Topics whose first message is still to come before the first instant is known to be whole.
+        # Topics that have a message at the first instant, and no regular ones: nothing is written before they came.
         self._awaited = {topic.name for topic in recorded if topic.role is Role.LATCHED}
         self._begun = topics.TAKEN in recorded  # at any instant
         for topic in recorded:
@@ -188,7 +185,11 @@ class LockstepRecorder(BagRecorder):
     def finish(self) -> None:
         """Write what is still held back; call before the writer is closed."""
         self._write_sorted(self._order.flush())
-        self.late = self._order.late
+
+    @property
+    def late(self) -> int:
+        """As of any recorder."""
+        return self._order.late
 
     def _in_order(self, topic: Topic) -> Callable[[bytes], None]:
         last_ns = 0
@@ -203,28 +204,26 @@ class LockstepRecorder(BagRecorder):
             if source == topics.CLOCK.name:
                 self._clock_ns = max(self._clock_ns, last_ns)
             elif source == topics.DIAGNOSTICS.name:
-                try:
-                    statuses = wire.decode_diagnostics(data).statuses
-                except wire.WireError:
-                    statuses = ()
+                statuses = wire.decode_diagnostics(data).statuses
                 source = statuses[0].name.partition(":")[0] if statuses else ""
-            if self._completeness.add(source, last_ns):
-                self._on_complete()
-            self._write_sorted(self._order.push(last_ns, topic.name, data))
+            # All of an instant is held before it may be complete: the odometry that completes it has a transform.
+            self._order.push(last_ns, topic.name, data)
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
-                self._write_sorted(self._order.push(last_ns, topics.TF.name, transform))
-            if not self._begun:
-                self._begin(topic)
-            self.late = self._order.late
-            self.after_each()
+                self._order.push(last_ns, topics.TF.name, transform)
+            if self._completeness.add(source, last_ns):
+                self._on_complete()
+            self._awaited.discard(source)
+            if not self._awaited:
+                self._write_sorted(self._order.release())
+                if not self._begun:
+                    self._begin()
 
         return record
 
-    def _begin(self, heard: Topic) -> None:
+    def _begin(self) -> None:
         """Write the first instant as soon as it is whole: a recorder killed afterwards leaves a readable bag."""
-        self._awaited.discard(heard.name)
-        if self._written_ns < 0 and not self._awaited:
+        if self._written_ns < 0:
             self._write_sorted(self._order.first())
             self._writer.flush()
         self._begun = self._written_ns >= 0

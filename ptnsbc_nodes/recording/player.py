@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
 
-import yaml
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -16,6 +15,7 @@ from rclpy.qos import QoSProfile
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
+from ptnsbc_io.bag.metadata import is_latched, offered_profiles
 from ptnsbc_io.wire import encode_clock
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import wait_for_readers
@@ -26,6 +26,7 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 
 _LOOK_S = 0.05
 _HISTORY = 1000  # of reliable topics: a reader that is slow for a moment loses nothing
+_DEEPEST = 100_000  # whatever the bag says
 _FLUSH_S = 1.0
 _REPORT_S = 0.5
 
@@ -162,24 +163,21 @@ def _publishers(
             continue
         try:
             kind = topics.message_class(Topic(topic.name, topic.type, Role.STATE))
+            publisher = node.create_publisher(kind, topic.name, profile(topic))
         except (ImportError, AttributeError, ValueError):
             say(f"{topic.name} is left out: {topic.type} is not installed")
-            continue
-        yield topic.name, node.create_publisher(kind, topic.name, profile(topic))
+        except NameValidationException as error:
+            say(f"{topic.name} is left out: {' '.join(str(error).split())}")
+        else:
+            yield topic.name, publisher
 
 
 def profile(topic: BagTopic) -> QoSProfile:
     """The profile that the publishers of a recorded topic offered; reliable where the bag does not say."""
-    try:
-        # Words since version 9 of rosbag2, numbers before.
-        offered = yaml.safe_load(topic.offered_qos)
-    except yaml.YAMLError:
-        offered = None
-    first = offered[0] if isinstance(offered, list) and offered else None
-    found: Mapping[str, Any] = first if isinstance(first, dict) else {}
-    reliable = str(found.get("reliability", "reliable")).lower() in ("reliable", "1")
-    latched = str(found.get("durability", "volatile")).lower() in ("transient_local", "1")
-    depth = int(found.get("depth", 0) or 0)
-    if reliable and not latched:
-        depth = max(depth, _HISTORY)
-    return keep_last(max(depth, 1), reliable=reliable, latched=latched)
+    first = next(iter(offered_profiles(topic.offered_qos)), {})
+    # Words since version 9 of rosbag2, numbers before.
+    reliable = str(first.get("reliability", "reliable")).lower() in ("reliable", "1")
+    latched, depth = is_latched(topic.offered_qos), first.get("depth")
+    least = _HISTORY if reliable and not latched else 1
+    depth = min(max(depth, least), _DEEPEST) if isinstance(depth, int) else least
+    return keep_last(depth, reliable=reliable, latched=latched)

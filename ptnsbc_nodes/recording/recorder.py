@@ -26,7 +26,7 @@ from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo
 from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import Transforms
-from ptnsbc_nodes.comm.door import Door, Refusals
+from ptnsbc_nodes.comm.door import Door, Refusals, as_bytes
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
 from ptnsbc_nodes.runtime.node_process import BoundedSpin, plain_node
@@ -75,9 +75,8 @@ class BagRecorder:
         self._seal = seal
         self.refusals = Refusals()
         self.received = 0
-        self.late = 0  # messages of a lock-step flight that came too late to be sorted in
         self._doors: list[NumberedDoor] = []  # of topics with one publisher
-        self.after_each: Callable[[], None] = lambda: None  # called after each message
+        self._after_each: Callable[[], None] = lambda: None  # called after each message
         self._node = node
         self._writer = writer
 
@@ -89,11 +88,14 @@ class BagRecorder:
         Raises:
             ImportError, AttributeError: its message type is not installed.
         """
-        # What was on a topic belongs into the bag, broken or not.
-        opener = bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
-        door = Door(name, opener, callback, self.refusals, _LARGEST)
-        if topic.role is Role.STATE:
-            door = NumberedDoor(name, opener, callback, self.refusals, _LARGEST)
+        opened = bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
+        status = as_bytes(wire.decode_diagnostics)
+        # What was on a topic belongs into the bag, broken or not, but for statuses: anybody may publish those.
+        is_status = topic.type == topics.DIAGNOSTICS.type
+        decode = (lambda data: status(opened(data))) if is_status else opened
+        kind = NumberedDoor if topic.role is Role.STATE else Door
+        door = kind(name, decode, callback, self.refusals, _LARGEST, lambda: self._after_each())
+        if isinstance(door, NumberedDoor):
             self._doors.append(door)
         self._node.create_subscription(
             topics.message_class(topic),
@@ -103,6 +105,11 @@ class BagRecorder:
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,
         )
+
+    @property
+    def late(self) -> int:
+        """Messages of a lock-step flight that came too late to be sorted in."""
+        return 0
 
     @property
     def lost(self) -> int:
@@ -132,14 +139,13 @@ class BagRecorder:
                 made = derive(topic.name, data)
                 if made is not None:
                     self._writer.write(name, now_ns, made, stamp_ns)
-            self.after_each()
 
         return record
 
     def serve(self, executor: Executor, over: Callable[[], bool], drain_limit_s: float) -> None:
         """Record until it is over, then take in what is still in the queues, for so long at most."""
         slices = BoundedSpin(executor)
-        self.after_each = slices.look
+        self._after_each = slices.look
         while not over():
             slices.serve(_SLICE_S)
         slices.drain(lambda: self.received, _QUIET_S, drain_limit_s)
@@ -241,6 +247,8 @@ def record(options: RecordOptions, say: Callable[[str], None]) -> Mapping[str, A
             end = time.monotonic() + (options.duration_s or float("inf"))
             recorder.serve(executor, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
         found = recorder.summary(interrupted=stop.came)
+        if refused := recorder.refusals.report():
+            say(refused)
     if not found["messages"]:
         raise RecordError(
             f"no message on {', '.join(options.topics)}: does a fleet run in this ROS domain? "

@@ -83,7 +83,9 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
             print(f"recorder: {error}", file=sys.stderr)
             return _FAILED
         # Before the middleware is shut down: that does not always return.
-        summary = json.dumps(recorder.summary(late=recorder.late, lost=recorder.lost))
+        refused = recorder.refusals.report()
+        facts = recorder.summary(late=recorder.late, lost=recorder.lost, refused=refused)
+        summary = json.dumps(facts)
         print(summary, flush=True)
         report_finished(summary)
     return 0

@@ -126,6 +126,7 @@ class BoundedSpin:
         """Serve callbacks for a while."""
         self._over, self._end = Future(), time.monotonic() + seconds
         self._executor.spin_until_future_complete(self._over, timeout_sec=seconds)
+        self._end = math.inf  # a later word of this call would end another one
 
     def look(self) -> None:
         """Callbacks call this: it ends a call whose time is over."""

@@ -105,7 +105,7 @@ class UavNode:
         self._vehicle_seen_s: float | None = None
         lockstep = edges.options.lockstep
         # In lock-step any message may be the last that a tick waits for.
-        after = self._advance if lockstep else None
+        after = self._advance if lockstep else lambda: None
         self.endpoints = Endpoints(node, lockstep, edges.options.seal, after)
         self._clock: UavClock = (
             LockstepClock(scenario) if lockstep else RealTimeClock(node, scenario)

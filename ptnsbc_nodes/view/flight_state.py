@@ -209,7 +209,7 @@ class ProcessReports:
             "vehicle": vehicle.get("mode") or None,
             "step": vehicle.get("step") or None,
             "armed": vehicle["armed"] == "true" if vehicle else None,
-            "battery": int(battery) if battery.isdecimal() else None,
+            "battery": int(battery) if battery.isdecimal() and len(battery) < 4 else None,
             "order": vehicle.get("order") or None,
             "fix": vehicle.get("fix") or None,
             "readiness": _readiness(bridge or planner),

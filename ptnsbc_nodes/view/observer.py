@@ -19,7 +19,6 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.seal import operators_seal, seal_of
 from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
-from ptnsbc_nodes.runtime.node_process import BoundedSpin
 from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
 from ptnsbc_sim.scenario import Scenario
 
@@ -77,13 +76,12 @@ class Observer(FleetNode):
     ) -> None:
         """`within`: as of `FleetNode`."""
         super().__init__(domain, name, namespace, within=within)
-        self._slices = BoundedSpin(self.executor)
         self._leader: LeaderClient | None = None
         self._listener: FleetListener | None = None
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while."""
-        self._slices.serve(seconds)
+        super().spin(seconds)
         if self._listener is not None:
             self._listener.look()
 
@@ -127,8 +125,7 @@ class Observer(FleetNode):
     def watch(self, scenario: Scenario) -> FlightState:
         """Subscribe to what a viewer shows; the state that is kept up to date from now on."""
         state = FlightState(scenario, time.monotonic)
-        seal = seal_of(scenario)
-        seal = seal or operators_seal()
+        seal = seal_of(scenario) or operators_seal()
         self.endpoints = Endpoints(self.node, lockstep=True, seal=seal, after=self._slices.look)
         self._leader = LeaderClient(self)
         self._listener = FleetListener(self.endpoints, state)

@@ -269,7 +269,9 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
         "died": list(flown.died),
         "killed": list(flown.killed),
         "interrupted": flown.interrupted,
-        "recorded": {key: flown.recorded.get(key) for key in ("messages", "late", "lost")},
+        "recorded": {
+            key: flown.recorded.get(key) for key in ("messages", "late", "lost", "refused")
+        },
         "logs": str(flown.processes[0].log.parent) if flown.processes else None,
     }
 
@@ -289,6 +291,8 @@ def _losses(flown: FleetResult, *, leads: bool) -> Iterator[str]:
         yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
     if recorded.get("lost"):
         yield f"{recorded['lost']} messages did not reach the recorder: {recorded['messages']} are in the bag"
+    if recorded.get("refused"):
+        yield f"recorder: {recorded['refused']}"
 
 
 def _judge(

@@ -251,6 +251,7 @@ class _Collector:
         self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
+        self._damaged = 0  # statuses that cannot be read
         self._topics = {uav: _topics_of(uav, options) for uav in scenario.uav_ids}
         self._samples = TrackWriters[str](file)
         self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
@@ -269,7 +270,12 @@ class _Collector:
             try:
                 self._add(message)
             except WireError as error:
-                raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
+                if message.topic != topics.DIAGNOSTICS.name:  # on which anybody may publish
+                    raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
+                self._damaged += 1
+        if self._damaged:
+            shown = f"{self._damaged} damaged on {topics.DIAGNOSTICS.name}, left out"
+            self.counters.injected[shown] = None
         self._tracks = self._samples.tracks()
 
     def _add(self, message: BagMessage) -> None:

@@ -90,7 +90,7 @@ class ReplayState:
         elif message.topic == topics.DIAGNOSTICS.name:
             for status in decode_diagnostics(message.data).statuses:
                 name, _, kind = status.name.partition(": ")
-                uav, ticks = name.removeprefix("uav"), status.values.get("ticks", "")
+                uav, ticks = name.removeprefix("uav")[:4], status.values.get("ticks", "")[:19]
                 if kind == "planner" and uav.isdecimal() and ticks.isdecimal():
                     replay = self.uavs.get(int(uav))
                     if replay is not None:
@@ -453,7 +453,8 @@ def _accounts(
                 if message.topic in driver.triggers:
                     driver.add(message.topic, message.stamp_ns, message.data)
             except WireError as error:
-                raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
+                if message.topic != topics.DIAGNOSTICS.name:  # the verdict names those
+                    raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
         driver.make_until()
     return {uav: replay.account for uav, replay in state.uavs.items()}
 

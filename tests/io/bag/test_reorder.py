@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from ptnsbc_io.bag.reorder import ReorderBuffer
+from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 
 TOPICS = ("/a", "/b", "/shared")
 
@@ -22,7 +22,10 @@ def flight(ticks: int) -> list[tuple[int, str, bytes]]:
 
 def run(messages, **options) -> tuple[list[tuple[int, str, bytes]], int]:
     order = ReorderBuffer(frozenset({"/shared"}), **options)
-    out = [held for message in messages for held in order.push(*message)]
+    out: list[PendingMessage] = []
+    for message in messages:
+        order.push(*message)
+        out += order.release()
     out += order.flush()
     return [(held.stamp_ns, held.topic, held.data) for held in out], order.late
 
@@ -72,11 +75,12 @@ def test_late_messages_are_kept_and_counted():
 
 def test_the_oldest_stamp_waits_for_no_later_one_where_it_is_complete():
     order = ReorderBuffer()
-    assert not list(order.first())
+    assert not order.first()
     order.complete_ns = -1
     for message in ((2, "/a", b""), (0, "/b", b""), (1, "/a", b""), (0, "/a", b"")):
-        assert not list(order.push(*message))
-    assert not list(order.first())
+        order.push(*message)
+        assert not order.release()
+    assert not order.first()
     order.complete_ns = 1
     assert [(held.stamp_ns, held.topic) for held in order.first()] == [(0, "/a"), (0, "/b")]
     assert [held.stamp_ns for held in order.flush()] == [1, 2]

@@ -20,6 +20,7 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import Transforms
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.recording.fleet_recorder import (
     Completeness,
@@ -97,10 +98,12 @@ def record(ros, path: Path, lockstep: bool, order, recorded=RECORDED) -> BagReco
     return recorder
 
 
-def mixed(seed: int, ticks: int = 40) -> list[tuple[topics.Topic, bytes]]:
-    """The flight, each topic in order, the topics mixed up to 10 ticks apart."""
+def mixed(seed: int, ticks: int = 40, **late: int) -> list[tuple[topics.Topic, bytes]]:
+    """The flight, each topic in order, the topics mixed up to 10 ticks apart; `late`: of topics, by their last word."""
     rng = random.Random(seed)
-    lag = {topic: rng.randrange(10) for topic in messages(1)}
+    lag = {
+        topic: late.get(topic.name.rpartition("/")[2], rng.randrange(10)) for topic in messages(1)
+    }
     keyed = [
         (tick + lag[topic], i, topic, data)
         for i, (topic, datas) in enumerate(messages(ticks).items())
@@ -109,15 +112,21 @@ def mixed(seed: int, ticks: int = 40) -> list[tuple[topics.Topic, bytes]]:
     return [(topic, data) for *_, topic, data in sorted(keyed, key=lambda m: m[:2])]
 
 
-def test_lockstep_gives_the_same_bytes(ros, tmp_path):
+@pytest.mark.parametrize("late", [{}, {"odom": 30}, {"epoch": 35}])
+def test_lockstep_gives_the_same_bytes(ros, tmp_path, late):
+    """Also where a topic comes thirty ticks behind all others: a transform came too late to be sorted in."""
     contents = set()
-    for seed in (1, 2, 3):
+    for seed in (1, 2, 3) if not late else (1,):
         path = tmp_path / str(seed) / "flight"
-        recorder = record(ros, path, True, mixed(seed))
+        # In the second kind of flight all that is recorded is sent: what is complete is written at once.
+        recorder = record(ros, path, True, mixed(seed, **late), messages(1) if late else RECORDED)
         assert recorder.late == 0
         contents.add((path / "flight_0.mcap").read_bytes())
         contents.add((path / "metadata.yaml").read_bytes())
     assert len(contents) == 2
+    if late:
+        record(ros, tmp_path / "again" / "flight", True, mixed(2))
+        assert (tmp_path / "again" / "flight" / "flight_0.mcap").read_bytes() in contents
     got = list(read_bag(path).messages())
     assert [m.stamp_ns for m in got if m.topic == "/uav1/odom"] == [k * TICK_NS for k in range(40)]
     assert [m.stamp_ns for m in got if m.topic == "/formation/epoch"] == [3 * TICK_NS]
@@ -177,6 +186,26 @@ def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
         ros.spin_until(lambda: recorder.received == 1 + depth)
         recorder.finish()
     assert recorder.lost == 30
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_damaged_status_is_not_recorded_and_is_named(ros, tmp_path, lockstep):
+    """One of them made a bag that no command would read."""
+    recorded = (topics.odom(1), topics.DIAGNOSTICS)
+    sound = diagnostics(0, "uav1: planner", DiagnosticLevel.OK, "", {"ready": "true"})
+    infos = [topic_info(topic, lockstep=lockstep) for topic in (*recorded, topics.TF)]
+    with BagWriter(tmp_path / "flight", infos) as writer:
+        node = ros.node("recorder")
+        kind = LockstepRecorder if lockstep else RealTimeRecorder
+        recorder = kind(node, writer, recorded, Transforms([1]))
+        flight = Flight(ros, recorded, lockstep=lockstep, recorder=node)
+        for data in (sound[:-9], sound, sound[:40]):
+            flight.publish(topics.DIAGNOSTICS, data)
+        ros.spin_until(lambda: recorder.received == 1 and recorder.refusals.counts.total() == 2)
+        recorder.finish()
+    bag = read_bag(tmp_path / "flight")
+    assert [message.data for message in bag.messages(["/diagnostics"])] == [sound]
+    assert recorder.refusals.report().startswith("2 messages refused: /diagnostics: ")
 
 
 def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
@@ -392,6 +421,17 @@ def test_a_rare_source_is_complete_up_to_its_next_message():
     for stamp in range(11, 20):
         received.add("/a", stamp)
     assert received.complete_ns == 14  # the message of 15 is missing
+
+
+def test_a_silence_is_not_taken_for_the_time_between_two_messages():
+    received = Completeness(["/a", "/d"], {"/d": [(10, 60)]})
+    for stamp in range(70):
+        received.add("/a", stamp)
+    received.add("/d", 0)
+    received.add("/d", 60)
+    assert received.complete_ns == 60
+    received.add("/d", 65)
+    assert received.complete_ns == 69
 
 
 def test_what_is_complete_has_arrived():
