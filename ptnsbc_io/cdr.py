@@ -67,11 +67,6 @@ def byte_order(buf: bytes, what: str) -> str:
     return order
 
 
-def align(offset: int, size: int) -> int:
-    """The next offset into the buffer at which a field of `size` bytes may start."""
-    return ((offset - _BODY + size - 1) & -size) + _BODY
-
-
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of builtin_interfaces/Time; its seconds are 32 bits wide."""
     seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
@@ -112,11 +107,7 @@ class Reader:
     def numbers(self, letters: str, alignment: int = 4) -> tuple[Any, ...]:
         """Numbers in the letters of struct."""
         layout = _layout(self.order + letters)
-        start = self.at + (_BODY - self.at) % alignment
-        self.at = start + layout.size
-        if len(self._buf) < self.at:
-            raise cut(self._buf, self._what, self.at)
-        return layout.unpack_from(self._buf, start)
+        return layout.unpack(self.take(layout.size, alignment))
 
     def stamp(self) -> int:
         """A builtin_interfaces/Time [ns]."""
@@ -152,7 +143,7 @@ def header_bytes(frame_id: str) -> bytearray:
 
 def pad(buffer: bytearray, size: int) -> None:
     """Fill `buffer` with zeros up to the alignment of a field of `size` bytes."""
-    buffer.extend(bytes(align(len(buffer), size) - len(buffer)))
+    buffer.extend(bytes((_BODY - len(buffer)) % size))
 
 
 def float_bytes(values: Floats, count: int, what: str) -> bytes:

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import yaml
 
@@ -30,8 +30,6 @@ _LONGEST_METADATA = 4_000_000  # [bytes]
 _DEEPEST = 20
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
-_RELIABILITY = ("reliable", "best_effort")
-_DURABILITY = ("volatile", "transient_local")
 
 
 class BagError(PtnsbcError):
@@ -139,8 +137,8 @@ class TopicInfo(NamedTuple):
 
     name: str
     type: str  # package/msg/Name
-    reliability: str = "reliable"  # or "best_effort"
-    durability: str = "volatile"  # or "transient_local"
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
     depth: int = 10  # keep last
 
 
@@ -175,13 +173,7 @@ class FileSummary(NamedTuple):
 
 
 def qos_profiles(topic: TopicInfo) -> list[dict[str, Any]]:
-    """`offered_qos_profiles` of version 9; BagError on a policy that ROS does not know."""
-    for policy, found, known in (
-        ("reliability", topic.reliability, _RELIABILITY),
-        ("durability", topic.durability, _DURABILITY),
-    ):
-        if found not in known:
-            raise BagError(f"{topic.name}: {policy}={found!r}: expected {' or '.join(known)}")
+    """`offered_qos_profiles` of version 9."""
     return [
         {
             "history": "keep_last",
@@ -200,8 +192,9 @@ def qos_profiles(topic: TopicInfo) -> list[dict[str, Any]]:
 def declare(topic: TopicInfo) -> TopicDeclaration:
     """The declaration of a topic; BagError when the definition of its type is not known."""
     text, type_hash = definition(topic.type)
-    qos = qos_profiles(topic)
-    return TopicDeclaration(topic.name, topic.type, text.encode(), type_hash=type_hash, qos=qos)
+    return TopicDeclaration(
+        topic.name, topic.type, text.encode(), type_hash=type_hash, qos=qos_profiles(topic)
+    )
 
 
 def bag_information(

@@ -160,37 +160,33 @@ def _read_contents(file: Path, salvage: bool) -> Contents:
 
 def find_problems(bag: Bag) -> list[str]:
     """Problems of an open bag, none when it is whole; reads all of it with its checksums."""
-    return list(_problems(bag))
-
-
-def _problems(bag: Bag) -> Iterator[str]:
+    problems = []
     for path, contents in bag.files:
         if contents.damage.cut:
-            yield f"{path.name}: its end is missing"
+            problems.append(f"{path.name}: its end is missing")
             continue
         try:
             held = sum(1 for _ in mcap_file.messages_in_file_order(path, None, salvage=False))
         except DamagedError:
-            yield f"{path.name}: a damaged chunk"
+            problems.append(f"{path.name}: a damaged chunk")
             continue
         summarised = sum(contents.counts.values())
         if held != summarised:
-            yield f"{path.name}: {held} messages, its summary says {summarised}"
+            problems.append(f"{path.name}: {held} messages, its summary says {summarised}")
     path = bag.path.with_name(METADATA_FILE)
     if not path.is_file():
-        yield f"{METADATA_FILE} is missing"
-        return
+        return [*problems, f"{METADATA_FILE} is missing"]
     try:
         stated = read_metadata(path)
         names, messages = stated["relative_file_paths"], stated["message_count"]
         if not all(isinstance(name, str) for name in names) or not 0 <= messages < 2**64:
             raise ValueError("names or a number")
     except (BagError, KeyError, TypeError, ValueError):
-        yield f"{METADATA_FILE} cannot be read"
-        return
+        return [*problems, f"{METADATA_FILE} cannot be read"]
     files = [file.name for file, _ in bag.files]
     held = sum(topic.messages for topic in bag.topics.values())
     if names != files:
-        yield f"{METADATA_FILE} lists {', '.join(names)}, there is {', '.join(files)}"
+        problems.append(f"{METADATA_FILE} lists {', '.join(names)}, there is {', '.join(files)}")
     elif messages != held:
-        yield f"{METADATA_FILE} says {messages} messages, the files hold {held}"
+        problems.append(f"{METADATA_FILE} says {messages} messages, the files hold {held}")
+    return problems

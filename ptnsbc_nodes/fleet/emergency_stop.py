@@ -154,7 +154,7 @@ class EmergencyStop:
 
     def look_up(self) -> None:
         """Find the bridges of this host, also those that start meanwhile, and those that were heard."""
-        for name, state in ({} if self.remote is None else self.remote.vehicles).items():
+        for name, state in ({} if self.remote is None else self.remote.status.vehicles).items():
             bridge = self._bridge(name)
             bridge.state = bridge.state or state
         fleet = fleet_bridges(self._folder)
@@ -186,7 +186,7 @@ class EmergencyStop:
         Only one that bears this order is an answer, and of a bridge of another host one that is newer than the order:
         a bridge that was heard before may have died since. Of a bridge that is dead none is.
         """
-        for name, record in remote.vehicles.items():
+        for name, record in remote.status.vehicles.items():
             bridge = self._bridge(name)
             newer = bridge.local is None and record.written_s >= self._began_wall_s
             answer = not bridge.dead and (_bears(record, self._order) or newer)

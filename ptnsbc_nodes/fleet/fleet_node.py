@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -458,11 +458,6 @@ class LauncherNode(FleetNode):
     def _join_parts(self) -> None:
         self.lifecycle.join(self.node, self.endpoints.fleet)
         self._publish_order = self.endpoints.publisher(topics.EMERGENCY, 1)
-
-    @property
-    def vehicles(self) -> Mapping[str, VehicleRecord]:
-        """The last report of each bridge, by its name."""
-        return self.status.vehicles
 
     def send(self, order: Order) -> None:
         """Publish an order to all bridges, once."""

@@ -9,15 +9,16 @@ sort beyond it.
 
 from __future__ import annotations
 
+import heapq
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from rclpy.node import Node
 
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter
-from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.announcements import decode_lost
@@ -31,7 +32,54 @@ _OWN = re.compile(r"/uav(\d+)/odom")
 # Published by every UAV: the order of arrival between UAVs is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
 
+_HOLD_TICKS = 20  # for the messages of topics without regular ones
 _NEVER = 2**63 - 1
+
+
+class PendingMessage(NamedTuple):
+    """A message in the buffer."""
+
+    stamp_ns: int
+    topic: str
+    arrival: int  # in its topic; 0 in a shared topic, where the bytes decide instead
+    data: bytes
+
+
+class ReorderBuffer:
+    """Sorts messages by (stamp, topic, arrival in that topic).
+
+    It counts stamps that occur. So the length of a tick need not be known, and a stamp far ahead (an epoch announced in
+    advance) releases no other message. Within `shared` topics, which have several publishers, the order of arrival is
+    random too.
+    """
+
+    def __init__(self, shared: frozenset[str] = frozenset()) -> None:
+        self._shared = shared
+        self._held: dict[int, list[PendingMessage]] = {}
+        self._stamps: list[int] = []  # heap of the keys of _held
+        self._arrivals: dict[str, int] = {}
+        self._released_ns = -1
+        self.late = 0  # messages that came after their stamp was released: in chance order
+
+    def push(self, stamp_ns: int, topic: str, data: bytes) -> None:
+        """Add a message."""
+        arrival = self._arrivals.get(topic, 0)
+        if topic not in self._shared:
+            self._arrivals[topic] = arrival + 1
+        self.late += stamp_ns <= self._released_ns
+        if stamp_ns not in self._held:
+            self._held[stamp_ns] = []
+            heapq.heappush(self._stamps, stamp_ns)
+        self._held[stamp_ns].append(PendingMessage(stamp_ns, topic, arrival, data))
+
+    def release(self, complete_ns: int = _NEVER, keep: int = 0) -> list[PendingMessage]:
+        """The messages of the stamps up to `complete_ns` that have `keep` later ones, in order: held no longer."""
+        released: list[PendingMessage] = []
+        while len(self._stamps) > keep and self._stamps[0] <= complete_ns:
+            stamp_ns = heapq.heappop(self._stamps)
+            self._released_ns = max(stamp_ns, self._released_ns)
+            released += sorted(self._held.pop(stamp_ns))
+        return released
 
 
 class Completeness:
@@ -164,7 +212,6 @@ class LockstepRecorder(BagRecorder):
         self._completeness = Completeness(_sources(recorded), quiet)
         self._transforms = transforms
         self._order = ReorderBuffer(_SHARED)
-        self._order.complete_ns = self._completeness.complete_ns
         self._written_ns = -1
         # Topics that have a message at the first instant, and no regular ones: nothing is written before they came.
         self._awaited = {topic.name for topic in recorded if topic.role is Role.LATCHED}
@@ -184,7 +231,7 @@ class LockstepRecorder(BagRecorder):
 
     def finish(self) -> None:
         """Write what is still held back; call before the writer is closed."""
-        self._write_sorted(self._order.flush())
+        self._write_sorted(self._order.release())
 
     @property
     def late(self) -> int:
@@ -215,26 +262,25 @@ class LockstepRecorder(BagRecorder):
                 self._on_complete()
             self._awaited.discard(source)
             if not self._awaited:
-                self._write_sorted(self._order.release())
-                if not self._begun:
-                    self._begin()
+                self._write_complete()
 
         return record
 
-    def _begin(self) -> None:
-        """Write the first instant as soon as it is whole: a recorder killed afterwards leaves a readable bag."""
-        if self._written_ns < 0:
-            self._write_sorted(self._order.first())
+    def _write_complete(self) -> None:
+        """Write what is whole; the first instant at once: a recorder killed afterwards leaves a readable bag."""
+        complete_ns = self._completeness.complete_ns
+        if not self._begun and complete_ns >= 0:
+            self._begun = True
+            self._write_sorted(self._order.release(0))
             self._writer.flush()
-        self._begun = self._written_ns >= 0
+        self._write_sorted(self._order.release(complete_ns, _HOLD_TICKS))
 
     def _on_complete(self) -> None:
         """Acknowledge to the sim that all topics have been received up to some stamp.
 
         Ticks are counted by stamps: where a status arrives last, it completes all ticks since the one before.
         """
-        complete_ns = self._order.complete_ns = self._completeness.complete_ns
-        stamp_ns = min(max(complete_ns, 0), self._clock_ns)
+        stamp_ns = min(max(self._completeness.complete_ns, 0), self._clock_ns)
         if stamp_ns - self._acknowledged_ns >= RECORDED_EVERY * self._completeness.tick_ns:
             self._acknowledged_ns = stamp_ns
             self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))

@@ -5,7 +5,6 @@ A variable that the user has set wins.
 
 from __future__ import annotations
 
-import errno
 import os
 import random
 import socket
@@ -170,13 +169,7 @@ def free_domain() -> Iterator[int]:
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
         # The kernel frees the port however this process ends.
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
-            try:
-                lock.bind(("", _FIRST_LOCK + domain))
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-                continue
-            if _is_unused(domain):
+            if _takes(lock, _FIRST_LOCK + domain) and _is_unused(domain):
                 yield domain
                 return
     raise DomainError("every ROS domain from 1 to 101 is in use: set ROS_DOMAIN_ID")
@@ -184,24 +177,27 @@ def free_domain() -> Iterator[int]:
 
 def flying_domains() -> list[int]:
     """The domains that launchers of this host have reserved, and in which processes are."""
-    return [domain for domain in _DOMAINS if not _is_unused(domain) and _is_reserved(domain)]
+    flying = []
+    for domain in _DOMAINS:
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
+            if not _is_unused(domain) and not _takes(lock, _FIRST_LOCK + domain):
+                flying.append(domain)
+    return flying
 
 
-def _is_reserved(domain: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
-        try:
-            lock.bind(("", _FIRST_LOCK + domain))
-        except OSError:
-            return True
-    return False
+def _takes(end: socket.socket, port: int) -> bool:
+    """Bind a socket; False when the port is in use."""
+    try:
+        end.bind(("", port))
+    except OSError:
+        return False
+    return True
 
 
 def _is_unused(domain: int) -> bool:
     """True if the ports of the first participants of the domain are free."""
     for participant in range(_FIRST_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
-            except OSError:
+            if not _takes(probe, 7400 + 250 * domain + 10 + 2 * participant):
                 return False
     return True

@@ -79,8 +79,9 @@ def run(
         _OWN_PROCESS.append(True)
     try:
         environment.prepare()
-        arguments = parser.parse_args(without_ros(full[1:]))
-        code = body(arguments, full)
+        with ros_errors():
+            own = remove_ros_args(full)[1:]
+        code = body(parser.parse_args(own), full)
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         code = USER_ERROR
@@ -96,13 +97,6 @@ def ros_errors() -> Iterator[None]:
     except RuntimeError as error:  # the only class that they have in common
         line = " ".join(str(error).split()).partition(", at /")[0]
         raise RosArgumentsError(line) from None
-
-
-def without_ros(arguments: Sequence[str]) -> list[str]:
-    """The arguments of the program itself; RosArgumentsError when ROS does not understand one of the others."""
-    with ros_errors():
-        own: list[str] = remove_ros_args(["program", *arguments])[1:]
-    return own
 
 
 def make_executor(context: Context) -> Executor:

@@ -217,18 +217,6 @@ def test_write_into_a_closed_bag(tmp_path):
         writer.write("/clock", 0, b"")
 
 
-@pytest.mark.parametrize(
-    ("topic", "message"),
-    [
-        (TopicInfo("/a", "std_msgs/msg/Header", reliability="perhaps"), "reliability='perhaps'"),
-        (TopicInfo("/a", "std_msgs/msg/Header", durability="forever"), "durability='forever'"),
-    ],
-)
-def test_wrong_quality_of_service(tmp_path, topic, message):
-    with pytest.raises(BagError, match=message):
-        BagWriter(tmp_path / "x", [topic]).open()
-
-
 def test_flush_if_due(tmp_path):
     """What was flushed is on disk before the bag is closed, and a killed bag can be read."""
     writer = BagWriter(tmp_path / "flight", TOPICS)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -243,14 +244,14 @@ class Elsewhere:
     """Bridges of another host, through the middleware."""
 
     def __init__(self, *records):
-        self.vehicles = {record.name: record for record in records}
+        self.status = SimpleNamespace(vehicles={record.name: record for record in records})
         self.orders = []
 
     def send(self, order):
         self.orders.append(order)
         if len(self.orders) == 3:  # the first two get lost
-            for name, record in self.vehicles.items():
-                self.vehicles[name] = replace(record, order=order.text, armed=False)
+            for name, record in self.status.vehicles.items():
+                self.status.vehicles[name] = replace(record, order=order.text, armed=False)
 
     def spin(self, seconds):
         pass
@@ -260,7 +261,7 @@ class LastHeard:
     """What was heard of bridges before the order: they have died or hang since."""
 
     def __init__(self, *records):
-        self.vehicles = {record.name: record for record in records}
+        self.status = SimpleNamespace(vehicles={record.name: record for record in records})
 
     def send(self, order):
         pass

@@ -25,7 +25,9 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.recording.fleet_recorder import (
     Completeness,
     LockstepRecorder,
+    PendingMessage,
     RealTimeRecorder,
+    ReorderBuffer,
 )
 from ptnsbc_nodes.recording.recorder import BagRecorder, stamp_of, topic_info
 from ptnsbc_nodes.recording.recorder_main import main
@@ -465,3 +467,78 @@ def test_a_source_that_is_not_awaited_changes_nothing():
     received = Completeness(["/a"])
     assert not received.add("/x", 3)
     assert received.complete_ns == -1
+
+
+SORTED = ("/a", "/b", "/shared")
+
+
+def sent_in_order(ticks: int) -> list[tuple[int, str, bytes]]:
+    return [
+        (tick, topic, f"{topic}{tick}{part}".encode())
+        for tick in range(ticks)
+        for topic in SORTED
+        for part in range(2)
+    ]
+
+
+def sorted_as_they_come(messages) -> tuple[list[tuple[int, str, bytes]], int]:
+    order = ReorderBuffer(frozenset({"/shared"}))
+    out: list[PendingMessage] = []
+    for message in messages:
+        order.push(*message)
+        out += order.release(keep=20)
+    out += order.release()
+    return [(held.stamp_ns, held.topic, held.data) for held in out], order.late
+
+
+def shuffled(messages, seed: int, window: int):
+    """Order within a single-publisher topic kept; across topics up to `window` ticks apart."""
+    rng = random.Random(seed)
+    lag = {topic: rng.randrange(window) for topic in SORTED}
+
+    def key(item):
+        position, (tick, topic, _) = item
+        chance = rng.random() if topic == "/shared" else 0.0
+        return (tick + lag[topic], rng.random() * 0 + SORTED.index(topic), chance, position)
+
+    return [message for _, message in sorted(enumerate(messages), key=key)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_same_out_whatever_in(seed):
+    messages = sent_in_order(100)
+    assert sorted_as_they_come(shuffled(messages, seed, 20)) == (messages, 0)
+
+
+def test_arrival_order_is_kept_within_a_topic():
+    messages = [(5, "/a", b"z"), (5, "/a", b"a")]
+    assert sorted_as_they_come(messages)[0] == messages
+
+
+def test_shared_topic_is_ordered_by_content():
+    assert sorted_as_they_come([(5, "/shared", b"z"), (5, "/shared", b"a")])[0] == [
+        (5, "/shared", b"a"),
+        (5, "/shared", b"z"),
+    ]
+
+
+def test_a_stamp_far_ahead_pushes_nothing_out():
+    out, late = sorted_as_they_come([(10**9, "/a", b""), *sent_in_order(10)])
+    assert late == 0
+    assert out == [*sent_in_order(10), (10**9, "/a", b"")]
+
+
+def test_late_messages_are_kept_and_counted():
+    out, late = sorted_as_they_come([(k, "/a", b"") for k in range(30)] + [(0, "/b", b"late")])
+    assert late == 1
+    assert (0, "/b", b"late") in out
+
+
+def test_a_stamp_waits_for_no_later_one_where_it_is_complete():
+    order = ReorderBuffer()
+    for message in ((2, "/a", b""), (0, "/b", b""), (1, "/a", b""), (0, "/a", b"")):
+        order.push(*message)
+        assert not order.release(-1)
+    assert [(held.stamp_ns, held.topic) for held in order.release(0)] == [(0, "/a"), (0, "/b")]
+    assert [held.stamp_ns for held in order.release()] == [1, 2]
+    assert order.late == 0
