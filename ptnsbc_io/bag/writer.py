@@ -278,8 +278,9 @@ class BagWriter:
                     f"rescue it with ptnsbc bag repair, {way_out}"
                 )
             check_replaceable(self._part, overwrite=True)
-            shutil.rmtree(self._part)
         try:
+            if self._part.exists():
+                shutil.rmtree(self._part)
             self._part.mkdir(parents=True)
         except OSError as error:
             raise BagError(f"{self._part}: cannot be created: {error.strerror}") from error

@@ -95,7 +95,8 @@ def decode_origin(data: bytes) -> GeoPoint:
     reader = Reader(data, "sensor_msgs/NavSatFix")
     reader.stamp()
     reader.text()  # frame_id
-    reader.numbers("bxH", 2)  # status, service
+    reader.take(1)  # status
+    reader.take(2, 2)  # service
     latitude, longitude, altitude = reader.numbers("ddd", 8)
     on_earth = abs(latitude) <= 90.0 and abs(longitude) <= 180.0
     if not (on_earth and abs(altitude) <= _HIGHEST_M):

@@ -17,6 +17,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from ptnsbc_io.bag.writer import check_replaceable
+from ptnsbc_io.files import replacing
 from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency import forget_dead, list_fleet, release, runtime_folder
@@ -87,9 +88,9 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         os.environ.update(enforced(os.environ))
         os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
-    log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
-    scenario_file.write_text(options.scenario.text, encoding="utf-8")
+    with replacing(scenario_file, folder=True) as part:
+        part.write_text(options.scenario.text, encoding="utf-8")
     processes = commands(options, scenario_file)
     # With this launcher. Where other computers fly the rest, there is a launcher for each process at most.
     everywhere = 2 * len(names(options.scenario, options.backend))

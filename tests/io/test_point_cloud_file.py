@@ -71,6 +71,12 @@ def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_points(path), POINTS)
 
 
+def test_the_first_row_of_a_table_with_a_mark_of_its_bytes_counts(tmp_path: Path) -> None:
+    """As spreadsheets write it: an obstacle disappeared."""
+    text = "\ufeff" + "".join(f"{x},{y},{z}\n" for x, y, z in POINTS.tolist())
+    np.testing.assert_array_equal(read_points(written(tmp_path, "a.csv", text.encode())), POINTS)
+
+
 def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
     text = ply("ascii", "nx x y z red")
     path = written(

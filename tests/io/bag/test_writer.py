@@ -137,6 +137,19 @@ def test_existing_target(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["flight"]
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_no_other_folder_is_touched(tmp_path, overwrite):
+    """A copy of an earlier flight that its user had called flight.old was removed with the new one in place."""
+    kept = tmp_path / "flight.old" / "mine"
+    kept.parent.mkdir()
+    kept.touch()
+    if overwrite:
+        write_bag(tmp_path / "flight")
+    write_bag(tmp_path / "flight", overwrite=overwrite)
+    assert kept.exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["flight", "flight.old"]
+
+
 def test_existing_part(tmp_path):
     (tmp_path / "flight.part").mkdir()
     with pytest.raises(BagError, match=r"flight\.part exists, a recording that was killed"):

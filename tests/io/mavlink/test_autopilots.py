@@ -130,6 +130,7 @@ def test_questions_are_repeated_and_given_up():
     assert list(reader.due(0.4)) == []
     reader.on_param_value(value("A", struct.pack("<f", 2.0), REAL32))
     reader.on_param_value(value("UNASKED", struct.pack("<f", 2.0), REAL32))
+    reader.on_param_value(value("B", struct.pack("<f", float("nan")), REAL32))
     asked = [list(reader.due(0.5 * n)) for n in (1, 2, 3, 4)]
     assert asked == [["B"], ["B"], ["B"], []]
     assert not reader.done(1.9)

@@ -102,6 +102,15 @@ def test_what_is_refused_is_counted_and_named_once():
     assert refusals.report() == ""
 
 
+def test_what_follows_a_message_follows_a_refused_one_too():
+    """A recorder that outsiders flooded never looked at the signal that should end it."""
+    looks = []
+    door = Door("/x", decode_leg, print, Refusals(), after=lambda: looks.append(1))
+    for message in (b"", leg("form")):
+        door(message)
+    assert len(looks) == 2
+
+
 def test_nothing_is_said_as_long_as_nothing_is_refused():
     _, refusals = through(decode_leg, leg("form"))
     assert refusals.values() == {}

@@ -312,6 +312,21 @@ def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name)
     assert shown() == expected
 
 
+def test_a_message_after_a_slice_does_not_end_what_is_waited_for_next():
+    """It ended the wait for the answer of a service: the leader was said to be silent."""
+    from ptnsbc_nodes.runtime.node_process import BoundedSpin
+
+    waited = []
+    slices = BoundedSpin(
+        SimpleNamespace(
+            spin_until_future_complete=lambda future, timeout_sec: waited.append(future)
+        )
+    )
+    slices.serve(0.0)
+    slices.look()
+    assert [future.done() for future in waited] == [False]
+
+
 @pytest.mark.ros
 def test_a_slice_ends_although_more_is_waiting(ros):
     """A recorder that is behind must see the signal that ends it, and take in the rest for so long at most."""

@@ -134,6 +134,9 @@ def test_a_vehicle_shows_mode_arming_and_battery() -> None:
     [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
     assert (second["vehicle"], second["armed"], second["battery"]) == ("OFFBOARD", True, 81)
     assert second["fix"] == "RTK float"
+    said["battery_percent"] = 5000 * "9"  # int() of it ended the view
+    state.processes.on_status(status("bridge2: link", **said))
+    assert [uav["battery"] for uav in state.frame()["uavs"]] == [None] * len(SCENARIO.uav_ids)
 
 
 def readiness_of(*statuses: Diagnostics) -> str | None:

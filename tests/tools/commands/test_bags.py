@@ -171,7 +171,15 @@ def test_quality_of_service_as_recorded(info, reliable, latched):
     assert found.depth >= info.depth
 
 
-@pytest.mark.parametrize("text", ["", "[", "- reliability: 2\n  durability: 2\n", "7"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[", "- reliability: 2\n  durability: 2\n", "7", 99 * "[" + 99 * "]"),
+        *("- depth: many\n", "- depth: [1]\n", f"- depth: {10**30}\n", "- depth: -1\n"),
+    ],
+)
 def test_quality_of_service_of_others(text):
     expected = "BEST_EFFORT" if "2" in text else "RELIABLE"
-    assert profile(BagTopic("/a", "std_msgs/msg/Header", 1, text)).reliability.name == expected
+    found = profile(BagTopic("/a", "std_msgs/msg/Header", 1, text))
+    assert found.reliability.name == expected
+    assert 1 <= found.depth <= 100_000

@@ -18,6 +18,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.uav.step_log import tick_note
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import ReplayState, rerun
 
 PERIOD_NS = 10_000_000
@@ -129,6 +130,25 @@ def test_without_a_decision_nothing_can_be_made_again(taken, rewritten, data):
     assert done.verdict == "void"
     (gap,) = done.accounts[3].gaps
     assert gap.reason == "/formation/slots stamped 0 is not recorded"
+
+
+def test_damaged_statuses_are_left_out_and_named(scenario, headless, rewritten):
+    """One of them on a topic that everybody may publish on made a bag that no command would read."""
+    count = 0
+
+    def change(message):
+        nonlocal count
+        count += message.topic == "/diagnostics"
+        broken = message._replace(data=message.data[:-5])
+        return [broken, message] if message.topic == "/diagnostics" and count < 3 else [message]
+
+    path = rewritten(headless, change)
+    assert rerun(read_bag(path), scenario).verdict == rerun(read_bag(headless), scenario).verdict
+    whole, damaged = read_recording(headless), read_recording(path)
+    assert damaged.injected == ("2 damaged on /diagnostics, left out",)
+    assert {uav: track.size for uav, track in damaged.counters.items()} == {
+        uav: track.size for uav, track in whole.counters.items()
+    }
 
 
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
