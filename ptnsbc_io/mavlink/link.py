@@ -34,9 +34,7 @@ class Frame(NamedTuple):
     message_id: int
     sysid: int
     compid: int
-    sequence: int
     signed: bool
-    version: int  # 1 or 2
 
 
 class BrokenFrame(NamedTuple):
@@ -112,8 +110,8 @@ def _is_noise(data: bytes, at: int, size: int) -> bool:
 def _frame(data: bytes) -> Frame:
     if data[0] == V2:
         number = data[7] | data[8] << 8 | data[9] << 16
-        return Frame(data, number, data[5], data[6], data[4], bool(data[2] & SIGNED), 2)
-    return Frame(data, data[5], data[3], data[4], data[2], False, 1)
+        return Frame(data, number, data[5], data[6], bool(data[2] & SIGNED))
+    return Frame(data, data[5], data[3], data[4], False)
 
 
 _EPOCH_2015_S = 1420070400

@@ -41,6 +41,7 @@ _RUN_MODULE = (
     "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
 )
 _PATIENCE_S = 10.0
+_LOOK_S = 0.1
 # The time that a process has to end after each of the harder signals.
 _HARDER = {signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
 
@@ -291,9 +292,15 @@ class ChildProcess:
         return self._process.poll()
 
     def wait(self, timeout_s: float) -> int | None:
-        """Its exit code once it has ended; None when it has not in time."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(max(timeout_s, 0.0))
+        """Its exit code once it has ended; None when it has not in time.
+
+        What it reports is taken in meanwhile: the pipe holds 64 kB, and it would wait until somebody reads.
+        """
+        deadline = time.monotonic() + timeout_s
+        while self.exit_code is None and (left_s := deadline - time.monotonic()) > 0.0:
+            self.reports.lines()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(min(left_s, _LOOK_S))
         return self.exit_code
 
     def send(self, number: signal.Signals) -> None:

@@ -70,19 +70,19 @@ class Reports:
     @property
     def running(self) -> bool:
         """True once the process serves its node."""
-        return any(line == _RUNNING for line in self._lines())
+        return any(line == _RUNNING for line in self.lines())
 
     @property
     def summary(self) -> str | None:
         """The result of its work; None before it has finished."""
-        for line in self._lines():
+        for line in self.lines():
             word, _, text = line.partition(" ")
             if word == _FINISHED:
                 return str(json.loads(text))
         return None
 
-    def _lines(self) -> list[str]:
-        """The whole lines so far."""
+    def lines(self) -> list[str]:
+        """The whole lines so far; takes in what the process has reported."""
         with suppress(BlockingIOError):
             while part := os.read(self._reader, 1 << 16):
                 self._received += part

@@ -144,7 +144,8 @@ class Observer(FleetNode):
                 ails = status.level >= DiagnosticLevel.ERROR
                 heard[name] = (status.message or "an error") if ails else ""
 
-        endpoints = Endpoints(self.node, lockstep=False, seal=operators_seal())
+        seal, after = operators_seal(), self._slices.look
+        endpoints = Endpoints(self.node, lockstep=False, seal=seal, after=after)
         for topic in (topics.DIAGNOSTICS, topics.READY):
             endpoints.listen(topic, decode_diagnostics, on_status, required=False)
         end = time.monotonic() + patience_s

@@ -56,6 +56,16 @@ def wait_for_exit(child: ChildProcess) -> None:
     os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its status stays for the child object
 
 
+def test_a_report_may_be_longer_than_a_pipe(program):
+    """The recorder of two hundred UAVs waited for the launcher, and the launcher for its end."""
+    text = (
+        "from ptnsbc_nodes.runtime.launcher import report_finished\nreport_finished(200_000 * 'x')"
+    )
+    child = program(text)
+    assert child.wait(60.0) == 0, child.tail()
+    assert child.reports.summary == 200_000 * "x"
+
+
 DEAF = """
 import select
 import signal
