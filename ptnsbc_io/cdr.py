@@ -149,9 +149,8 @@ def pad(buffer: bytearray, size: int) -> None:
 def float_bytes(values: Floats, count: int, what: str) -> bytes:
     """`values` as little-endian float64; WireError unless there are exactly `count`."""
     try:
-        if (
-            getattr(values, "dtype", None) is not _LITTLE_FLOAT64
-        ):  # rarely; the conversion is expensive
+        # rarely; the conversion is expensive
+        if getattr(values, "dtype", None) is not _LITTLE_FLOAT64:
             values = np.ascontiguousarray(values, "<f8")
         raw = values.tobytes()
     except (TypeError, ValueError) as error:

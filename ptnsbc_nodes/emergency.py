@@ -48,9 +48,8 @@ class RuntimeFolderError(PtnsbcError):
 class Order(NamedTuple):
     """The action that every vehicle must take."""
 
-    what: str = (
-        ""  # "land", "kill", "apart" (from a bridge: hold apart by height, then land) or nothing
-    )
+    # "land", "kill", "apart" (from a bridge: hold apart by height, then land) or nothing
+    what: str = ""
     pilots_too: bool = False  # also a vehicle in a pilot's hands
 
     @property

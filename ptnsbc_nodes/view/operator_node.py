@@ -32,13 +32,7 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.emergency import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.fleet.fleet_node import (
-    Answer,
-    FleetNode,
-    LauncherNode,
-    LeaderClient,
-    not_there,
-)
+from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, LauncherNode, LeaderClient, not_there
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.observer import FleetListener
