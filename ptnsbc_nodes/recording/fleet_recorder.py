@@ -102,7 +102,6 @@ class Completeness:
         self.complete_ns = -1
         self.tick_ns = _NEVER
         """Shortest time between two messages of any source: the control period, once two messages have come."""
-        self._last = len(self._bounds)  # sources that hold `complete_ns` back
 
     def add(self, source: str, stamp_ns: int) -> bool:
         """A message of a source, whatever its name; returns whether `complete_ns` has moved."""
@@ -117,28 +116,20 @@ class Completeness:
         for first_ns, end_ns in silences:
             if first_ns <= bound + 1 < end_ns:
                 bound = end_ns - 1
-        before, self._bounds[source] = self._bounds[source], bound
-        if before > self.complete_ns:
-            return False
-        self._last -= 1
+        self._bounds[source] = bound
         return self._move()
 
     def lose(self, source: str) -> bool:
         """Wait for a source no longer; returns whether `complete_ns` has moved."""
         if source not in self._newest:
             return False
-        del self._newest[source]
-        if self._bounds.pop(source) <= self.complete_ns:
-            self._last -= 1
+        del self._newest[source], self._bounds[source]
         return self._move()
 
     def _move(self) -> bool:
-        if self._last > 0:
-            return False
-        bounds = self._bounds.values()
-        self.complete_ns = min(bounds, default=_NEVER)
-        self._last = sum(bound == self.complete_ns for bound in bounds)
-        return True
+        before = self.complete_ns
+        self.complete_ns = max(before, min(self._bounds.values(), default=_NEVER))
+        return self.complete_ns > before
 
 
 def _sources(recorded: Iterable[Topic]) -> Iterator[str]:

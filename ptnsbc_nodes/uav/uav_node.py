@@ -112,12 +112,8 @@ class UavNode:
         )
         self.flight = UavFlight(scenario, uav_id, edges)
         self._outbox = Outbox(self.endpoints, edges, self.flight)
-        self._heard = Subscriptions(node, self.endpoints, self.flight, self._clock)
+        self._heard = Subscriptions(node, self.endpoints, edges, self.flight, self._clock)
         self.endpoints.listen(topics.EPOCH, decode_leg, self._on_leg)
-        if edges.options.bridged:
-            self._heard.hear_limits()
-        if self.flight.decided is not None and uav_id == scenario.leader.id:
-            self._heard.decide_slots(edges)
         publish_description(self.endpoints, scenario, uav_id)
         name, recorders = f"uav{uav_id}: planner", edges.options.recorders
         self._status = StatusPublisher(node, self.endpoints, name, recorders)

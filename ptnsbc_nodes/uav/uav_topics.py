@@ -28,7 +28,12 @@ class Subscriptions:
     """Everything that a UAV hears, on its way into its flight."""
 
     def __init__(
-        self, node: Node, endpoints: Endpoints, flight: UavFlight, clock: UavClock
+        self,
+        node: Node,
+        endpoints: Endpoints,
+        edges: CommunicationGraph,
+        flight: UavFlight,
+        clock: UavClock,
     ) -> None:
         self._node, self._endpoints, self._flight, self._clock = node, endpoints, flight, clock
         # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
@@ -46,17 +51,16 @@ class Subscriptions:
             )
         if flight.decided is not None:
             endpoints.listen(topics.SLOTS, flight.decided.decode, flight.decided.keep)
+            if flight.uav == flight.scenario.leader.id:
+                self._decide_slots(edges)
+        if edges.options.bridged:
+            endpoints.listen(topics.limits(flight.uav), decode_limits, self._take_limits)
 
-    def hear_limits(self) -> None:
-        """Hear the limits of a real vehicle from its bridge."""
+    def _take_limits(self, limits: PlannerLimits) -> None:
         controller = self._flight.controller
+        controller.config = limited(controller.config, *limits)
 
-        def take(limits: PlannerLimits) -> None:
-            controller.config = limited(controller.config, *limits)
-
-        self._endpoints.listen(topics.limits(self._flight.uav), decode_limits, take)
-
-    def decide_slots(self, edges: CommunicationGraph) -> None:
+    def _decide_slots(self, edges: CommunicationGraph) -> None:
         """Decide the slots of the fleet, by the odometry of all UAVs."""
         flight, scenario = self._flight, self._flight.scenario
         publish = self._endpoints.publisher(topics.SLOTS, edges.readers(topics.SLOTS))
