@@ -42,7 +42,7 @@ class Epochs:
         """Add a leg; returns False for one that is known, which the latched topic may repeat."""
         number = number_of(name)
         if number is not None:
-            return self._say(t0_ns, number)
+            return self._take_word(t0_ns, number)
         if name not in LEGS:
             raise EpochError(f"epoch with leg {name!r}: expected one of {', '.join(LEGS)}")
         first_t0_ns = self._legs[0].t0_ns if self._legs else t0_ns
@@ -58,17 +58,17 @@ class Epochs:
         """A word that counts from `t0_ns`; a leg must have been announced."""
         return Word(number, seconds(t0_ns - self._legs[0].first_t0_ns))
 
-    def _say(self, t0_ns: int, number: int) -> bool:
+    def _take_word(self, t0_ns: int, number: int) -> bool:
         """Begin a leg of the mission, or cancel the present one; False where that means nothing, or is known."""
         scenario = self.scenario
         mission = scenario.mission
         if mission is None or not self._legs or number > len(mission.legs):
             return False
-        said, word = scenario.words, self.word(t0_ns, number)
-        if said and word.at_s <= said[-1].at_s:
+        words, word = scenario.words, self.word(t0_ns, number)
+        if words and word.at_s <= words[-1].at_s:
             return False
         try:
-            self.scenario = scenario.with_words((*said, word))
+            self.scenario = scenario.with_words((*words, word))
         except PtnsbcError:  # the leader has refused it
             return False
         self._landing_ns = self.scenario.landing_ns

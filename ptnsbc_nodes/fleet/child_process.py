@@ -340,8 +340,8 @@ class ChildProcess:
         lines = [text + times.get(cause, "") for cause, text in newest.items()][-_TAIL_LINES:]
         if self.exit_code == _USER_ERROR:
             prefix = f"{EXECUTABLES.get(self.command.module, self.name)}: "
-            said = [at for at, line in enumerate(lines) if line.startswith(prefix)]
-            lines = lines[said[-1] :] if said else lines
+            errors = [at for at, line in enumerate(lines) if line.startswith(prefix)]
+            lines = lines[errors[-1] :] if errors else lines
         return "\n".join(f"    {line}" for line in lines) or "    (its log is empty)"
 
     @property

@@ -127,8 +127,8 @@ class Supervisor:
     def _report_exits(self) -> None:
         """Report every process that has ended before its time; the others fly on without it."""
         for child in self._crew.children:
-            told = child.exit_code is None or child.name in self._reported
-            if told or self._faults.comes_back(child):
+            settled = child.exit_code is None or child.name in self._reported
+            if settled or self._faults.comes_back(child):
                 continue
             self._reported.add(child.name)
             if child.command.beside:

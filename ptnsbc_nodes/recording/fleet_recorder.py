@@ -147,7 +147,7 @@ def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
             yield name
 
 
-def _told(uav: int) -> tuple[str, ...]:
+def _sources_of(uav: int) -> tuple[str, ...]:
     """The sources of the process of a UAV."""
     return f"uav{uav}", *(topic.name for topic in topics.of_uav(uav)[2:])
 
@@ -198,7 +198,7 @@ class LockstepRecorder(BagRecorder):
         recorded = tuple(recorded)
         quiet: dict[str, list[tuple[int, int]]] = {}
         for uav, first_ns, end_ns in silences:
-            for source in _told(uav):
+            for source in _sources_of(uav):
                 quiet.setdefault(source, []).append((first_ns, end_ns))
         self._completeness = Completeness(_sources(recorded), quiet)
         self._transforms = transforms
@@ -285,7 +285,7 @@ class LockstepRecorder(BagRecorder):
             return
         if process.uav is None:
             return
-        moved = [self._completeness.lose(source) for source in _told(process.uav)]
+        moved = [self._completeness.lose(source) for source in _sources_of(process.uav)]
         if any(moved):
             self._on_complete()
 

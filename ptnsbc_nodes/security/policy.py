@@ -81,7 +81,7 @@ def enclaves(
 
 def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int) -> Enclave:
     leads = uav == scenario.leader.id or uav in scenario.leader.successors
-    told = (
+    of_leader = (
         topics.EPOCH,
         topics.TAKEN,
         *((topics.SLOTS,) if scenario.formation.has_open_slots else ()),
@@ -93,7 +93,7 @@ def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int) -> Enclave:
             *(topics.formation_state(uav), topics.leader_estimate(uav)),
             *(topics.velocity_setpoint(uav), topics.wrench_setpoint(uav)),
             *(*topics.notes(uav), topics.robot_description(uav)),
-            *(told if leads else ()),
+            *(of_leader if leads else ()),
         ),
         subscribe=(
             *(*edges.heard_by(uav), topics.limits(uav), topics.FAULT),

@@ -70,8 +70,8 @@ class SimPublishers:
             {i: endpoints.publisher(topic(i), edges.readers(topic(i))) for i in ids}
             for topic in (topics.odom, topics.near)
         )
-        told = ids if scenario.imperfect else ()
-        self._send_truth = {i: endpoints.publisher(topics.truth(i), recorders) for i in told}
+        measured = ids if scenario.imperfect else ()
+        self._send_truth = {i: endpoints.publisher(topics.truth(i), recorders) for i in measured}
         self._send_clock = endpoints.publisher(topics.CLOCK, recorders)
         self._send_markers = endpoints.publisher(topics.MARKERS, recorders)
         self._tf = LiveTransforms(endpoints, ids)

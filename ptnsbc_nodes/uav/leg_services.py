@@ -128,7 +128,7 @@ class LegServices:
         elif name == LIST_SERVICE:
             response.message = self._list()
         elif name in self._words:
-            response.success, response.message = self._say(self._words[name])
+            response.success, response.message = self._begin_leg(self._words[name])
         else:
             response.message = self._announce(name)
         return response
@@ -173,7 +173,7 @@ class LegServices:
         now_s = None if flown is None else seconds(now_ns - flown.first_t0_ns)
         return json.dumps({"now_s": now_s, "legs": rows})
 
-    def _say(self, number: int) -> tuple[bool, str]:
+    def _begin_leg(self, number: int) -> tuple[bool, str]:
         """Begin a leg of the mission, or cancel the present one: whether that can be flown, and a sentence."""
         now_ns, scenario = self._clock.now_ns(), self._flight.epochs.scenario
         leg = self._flight.epochs.at(now_ns)

@@ -308,8 +308,8 @@ class _Pace:
 def _readiness(statuses: Iterable[DiagnosticStatus]) -> str | None:
     """The fault of a process, or what it waits for, or the step that it is at; None of one that was not heard."""
     word = None
-    for said in statuses:
-        values = said.values
+    for status in statuses:
+        values = status.values
         if values.get("fault"):
             return values["fault"]
         if values.get("ready") == "false":

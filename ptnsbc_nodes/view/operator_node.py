@@ -231,12 +231,12 @@ def _outcome(one: ScheduledLeg, following_s: float, now_s: float, state: FleetSt
 
 
 def _sentence(one: LegOutcome) -> str:
-    said = {
+    words = {
         LegOutcome.NOT_IN_PLACE: f"not in place when due: {_names(one.not_in_place)}",
         LegOutcome.CUT_SHORT: "another leg began before it was due",
         LegOutcome.NOT_JUDGED: "no state was heard when it was due",
     }
-    return f"leg {one.name}: {said[one.outcome]}"
+    return f"leg {one.name}: {words[one.outcome]}"
 
 
 def _names(uavs: Any) -> str:
@@ -333,7 +333,7 @@ class OperatorNode:
     def _fleet_state(self) -> FleetState:
         frame, leg = self.flight.frame(), self.flight.leg
         in_formation = frame["left_s"] is not None
-        said = {one["name"]: one for one in frame["processes"]}
+        reports = {one["name"]: one for one in frame["processes"]}
         state = FleetState()
         state.header.stamp.sec, state.header.stamp.nanosec = split_stamp(
             max(self.flight.stamp_ns, 0)
@@ -346,7 +346,7 @@ class OperatorNode:
             state.leg.predefined_time_s = time_s
             state.share_of_time = min(max(frame["since_s"] / time_s, 0.0), 1.0)
         for one in frame["uavs"]:
-            uav = self._uav_state(one, said.get(f"uav{one['id']}"), in_formation=in_formation)
+            uav = self._uav_state(one, reports.get(f"uav{one['id']}"), in_formation=in_formation)
             state.uavs.append(uav)
             if in_formation and not uav.in_place:
                 state.not_in_place.append(uav.id)
@@ -355,19 +355,19 @@ class OperatorNode:
         return state
 
     def _uav_state(
-        self, one: Mapping[str, Any], said: Mapping[str, Any] | None, *, in_formation: bool
+        self, one: Mapping[str, Any], report: Mapping[str, Any] | None, *, in_formation: bool
     ) -> UavState:
-        said = said or _NOT_HEARD
+        report = report or _NOT_HEARD
         error = one["error"] if in_formation and one["error"] is not None else math.nan
         near, battery = one["near"], one["battery"]
         limits, order = self._configs[one["id"]].filter, parse_order(one["order"] or "")
         return UavState(
             id=one["id"],
-            level=UavState.STALE if said["silent"] else said["level"],
-            reason=said["word"],
+            level=UavState.STALE if report["silent"] else report["level"],
+            reason=report["word"],
             mode=one["mode"] or "",
             formation_error_m=error,
-            in_place=not said["silent"] and error <= self._tolerance_m,
+            in_place=not report["silent"] and error <= self._tolerance_m,
             nearest="" if near is None else near["name"],
             room_m=math.nan if near is None else near["room"],
             vehicle=one["vehicle"] or "",
