@@ -18,7 +18,7 @@ from ptnsbc_tools.live.dashboard import Viewer
 from ptnsbc_tools.options import Showing
 
 needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
-RECORDED = {"messages": 900, "late": 0, "lost": 0}
+RECORDED = {"messages": 900, "late": 0, "lost": 0, "refused": ""}
 
 
 def run(*words: object) -> tuple[int, str, str]:
@@ -119,6 +119,10 @@ def flown(**changes: Any) -> Any:
         (
             {"recorded": {**RECORDED, "lost": 3}},
             ["3 messages did not reach the recorder: 900 are in the bag"],
+        ),
+        (
+            {"recorded": {**RECORDED, "refused": "2 messages refused: /diagnostics: cut"}},
+            ["recorder: 2 messages refused: /diagnostics: cut"],
         ),
         (
             {"died": ("recorder",), "recorded": {}},
