@@ -25,7 +25,7 @@ first = None
 for name, scenario in scenarios.items():
     flown = ptnsbc.sweep(scenario, **DRAWS)
     first = first or flown
-    print(f"{name}: {flown.met}; worse than ours: {first.compare(flown).worse}")
+    print(f"{name}: {flown.met}; worse than ours: {ptnsbc.compare(first, flown).worse}")
     flight = flown.fly(0)
     axes.semilogy(flight.time_s, flight.error_m[:, 1:].max(axis=1), label=name)
 axes.axvline(ours.gains.formation.deadline_s, color="black", linewidth=1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from ptnsbc_core.types import Array
 MOST_BYTES = 100_000_000
 """Of a file."""
 
+_OTHER_UNITS = {"ms", "msec", "us", "ns", "deg", "degrees", "cm", "mm", "km", "ft", "feet"}
 _LONGEST_HEADER = 10_000
 _MOST_COUNT = 10_000  # of numbers in one field
 _FARTHEST_M = 1e6
@@ -66,16 +69,30 @@ def read_points(path: Path) -> Array:
 def _csv(data: bytes) -> Array:
     """Rows x, y, z and what else a row may have; a first row of names is left out."""
     try:
-        lines = data.decode("utf-8-sig").splitlines()
+        lines = data.decode("utf-8-sig").splitlines()  # Excel begins a CSV file with a mark
     except UnicodeDecodeError as error:
         raise PointCloudFileError(f"byte {error.start}: expected UTF-8 text") from None
     rows = [line for line in lines if line.strip() and not line.startswith("#")]
     for skipped in (0, 1) if len(rows) > 1 else (0,) * len(rows):
         try:
-            return np.loadtxt(rows[skipped:], delimiter=",", usecols=(0, 1, 2), ndmin=2)
+            points = np.loadtxt(rows[skipped:], delimiter=",", usecols=(0, 1, 2), ndmin=2)
         except (ValueError, IndexError):
             continue
+        if skipped and (wrong := contradiction(rows[0].split(","), "x, y, z")):
+            raise PointCloudFileError(wrong)
+        return points
     raise PointCloudFileError("expected rows of numbers x, y, z, with commas between them")
+
+
+def contradiction(cells: Sequence[str], columns: str) -> str:
+    """What a first row of names says against the columns of a table: their order, or other units; empty: nothing."""
+    expected = re.findall(r"\b(?:t|v?[xyz]|yaw)\b", columns)
+    for place, cell in enumerate(cells):
+        words = set(re.findall("[a-z]+", cell.lower()))
+        moved = words & set(expected) - set(expected[place : place + 1])
+        if moved or words & _OTHER_UNITS or re.match(r"\s*[-+.]?\d", cell):
+            return f"column {cell.strip()[:40]}: expected {columns}, in m, s and rad"
+    return ""
 
 
 def _rows(data: bytes, columns: list[int], count: int, *, more: bool) -> Array:

@@ -41,18 +41,7 @@ PANELS = {
 }
 """The panels of `help all`: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
 
-_DAILY = {
-    "The commands of a day": (
-        "new",
-        "check",
-        "simulate",
-        "sweep",
-        "fleet",
-        "view",
-        "report",
-        "stop",
-    )
-}
+_DAILY = ("new", "check", "simulate", "sweep", "fleet", "view", "report", "stop")
 _MOVED = {
     **{name: f"bag {name}" for name in ("record", "replay")},
     **{name: f"network {name}" for name in ("params", "key", "node")},
@@ -119,7 +108,8 @@ class _Commands(TyperGroup):
             panel: [place.rpartition(":")[2] for place in places.split()]
             for panel, places in PANELS.items()
         }
-        for panel, names in (every if ctx.obj == "all" else _DAILY).items():
+        shown = every if ctx.obj == "all" else {"The commands of a day": [*_DAILY]}
+        for panel, names in shown.items():
             rows = [(path, _help(of).partition("\n")[0]) for path, of in functions(names)]
             with formatter.section(panel):
                 formatter.write_dl(rows)
@@ -170,9 +160,13 @@ class _Commands(TyperGroup):
 
 
 def _one_line(error: Exception) -> str | None:
-    """The line that tells an error of ours, or an option that has another name now; None for any other error."""
+    """The line that tells an error of ours, of a file, or of an option that has another name now; else None."""
     if isinstance(error, PtnsbcError):
         return " ".join(str(error).split())
+    if (
+        isinstance(error, OSError) and error.filename is not None
+    ):  # too long a name, no right, a full disk
+        return f"{error.filename}: {error.strerror}"
     name = getattr(error, "option_name", "")  # of Click's NoSuchOption
     return f"{name}: no such option: expected {_REPLACED[name]}" if name in _REPLACED else None
 

@@ -131,7 +131,9 @@ def mcap_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: a pipe or a device: expected a file, or the folder of a bag")
     files = list(path.glob("*.mcap"))
     if not files:
-        raise BagError(f"{path}: no .mcap file in this folder: expected a rosbag2 folder")
+        raise BagError(
+            f"{path}: no .mcap file in this folder: expected a bag of them, which `ros2 bag convert` makes of others"
+        )
     if len({_FILE_NUMBER.sub("", file.name) for file in files}) > 1:
         names = ", ".join(sorted(file.name for file in files))
         raise BagError(f"{path}: several .mcap files ({names}): name one of them")

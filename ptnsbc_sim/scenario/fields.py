@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from pydantic_core import PydanticCustomError
 
 from ptnsbc_core.types import Array
+from ptnsbc_io.point_cloud_file import contradiction
 
 LARGEST = 1e12
 """Size of the largest number of a quantity: the laws square and cube them."""
@@ -198,6 +199,8 @@ def rows_of(text: str, names: str, widths: Sequence[int]) -> Array:
         except ValueError:
             if not rows and not headed:
                 headed = True
+                if wrong := contradiction(cells, names):
+                    raise ValueError(f"row {number}: {wrong}") from None
                 continue
             raise ValueError(f"row {number}: expected numbers {names}") from None
         if len(row) not in widths or len(row) != len((rows or [row])[0]):

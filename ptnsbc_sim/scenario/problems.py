@@ -114,6 +114,8 @@ def _place_of(location: tuple[str | int, ...], tree: object) -> tuple[str, str, 
 def _expectation(kind: str, first: str, last: str, detail: ErrorDetails) -> str:
     context = detail.get("ctx", {})
     if kind == "string_pattern_mismatch":
+        if last == "process":
+            return "expected uavN, bridgeN, sim or recorder"
         of_code = first in ("law", "plugins")
         return f"expected {'FILE.py:NAME' if of_code else 'a name of letters, digits, _ and -'}"
     if kind in _LIMITS:

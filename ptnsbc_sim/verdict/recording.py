@@ -254,6 +254,7 @@ class Recording:
     # faults of an operator, in words; those of the scenario are in it
     injected: tuple[str, ...] = ()
     window_s: float | None = None  # judge only so many seconds after its epoch
+    odom: str = "/uav{n}/odom"  # topic of the odometry; {n} is the id of the UAV
 
     @cached_property
     def forms(self) -> tuple[int, ...]:
@@ -378,7 +379,7 @@ def require_all_uavs(recording: Recording) -> None:
     """Raise VerdictError when a UAV of the scenario is missing."""
     missing = [uav for uav in recording.scenario.uav_ids if uav not in recording.odometry]
     if missing:
-        names = ", ".join(f"/uav{uav}/odom" for uav in missing)
+        names = ", ".join(recording.odom.replace("{n}", str(uav)) for uav in missing)
         raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
 
 

@@ -1,1 +1,1 @@
-"""The commands of `ptnsbc`: typed functions whose parameters are arguments and options; `cli.COMMANDS` lists them."""
+"""The commands of `ptnsbc`: typed functions whose parameters are arguments and options; `cli.PANELS` lists them."""

@@ -47,18 +47,22 @@ def info(
 
     Opens the remains of a killed recording too. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
     """
-    from ptnsbc_io.bag import read_bag
+    from ptnsbc_io.bag import BagError
     from ptnsbc_io.bag.reader import find_problems
+    from ptnsbc_tools.reading.opener import open_bag
 
-    found = read_bag(bag, salvage=True)
-    problems = find_problems(found) if check else None
+    found = open_bag(bag, salvage=True)
+    if check and not found.files:
+        raise BagError(f"{bag}: --check: expected MCAP files: only they have checksums")
+    with console.patience(f"reading {bag}"):
+        problems = find_problems(found) if check else None
     if json:
         topics = [topic._asdict() for topic in found.topics.values()]
         for topic in topics:
             del topic["offered_qos"]
         console.print_json(
             {
-                "files": [str(path) for path, _ in found.files],
+                "files": [str(path) for path, _ in found.files] or [str(found.path)],
                 "start_ns": found.start_ns,
                 "end_ns": found.end_ns,
                 "messages": sum(topic.messages for topic in found.topics.values()),
@@ -77,7 +81,8 @@ def info(
 def _show(bag: Bag, problems: list[str] | None) -> None:
     from rich.table import Table
 
-    table = Table("topic", "type", title=", ".join(path.name for path, _ in bag.files))
+    names = [path.name for path, _ in bag.files] or [bag.path.name]
+    table = Table("topic", "type", title=", ".join(names))
     table.add_column("messages", justify="right")
     for topic in bag.topics.values():
         table.add_row(topic.name, topic.type, str(topic.messages))
@@ -158,19 +163,6 @@ def trim(
         console.print_json({"bag": str(output), "messages": count})
     else:
         print(f"{console.counted(count, 'message')}: {output}")
-
-
-@bag.command(
-    hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
-)
-def merge() -> None:
-    """Refused: other programs merge bags."""
-    from ptnsbc_io.bag import BagError
-
-    raise BagError(
-        "bag merge: no such command any more: expected `mcap merge A.mcap B.mcap -o C.mcap` (the program mcap), "
-        "or `ros2 bag convert` with an -i for each bag"
-    )
 
 
 @bag.command()
@@ -317,9 +309,9 @@ def replay(
 
 
 def _publish(path: Path, playing: Playing, *, json: bool) -> int:
-    from ptnsbc_io.bag import read_bag
+    from ptnsbc_tools.reading.opener import open_bag
 
-    bag = read_bag(path)
+    bag = open_bag(path)
     with ros.required():
         from ptnsbc_nodes.recording import player
     options = player.PlayOptions(**{**vars(playing), "topics": tuple(playing.topics or ("*",))})

@@ -164,6 +164,7 @@ class Fault:
         from pydantic import ValidationError
 
         from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
+        from ptnsbc_sim.scenario.problems import scenario_error
 
         if self.kind not in KINDS:
             raise InjectError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
@@ -173,10 +174,7 @@ class Fault:
         try:
             fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            text = f"{where}: {first.get('input')}: {first['msg']}"
-            raise InjectError(_in_options(text)) from None
+            raise InjectError(_in_options(str(scenario_error("inject", error, keys)))) from None
         uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
         bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
         for problem in fault_problems(fault, [*uavs, *bridges]):

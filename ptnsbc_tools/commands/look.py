@@ -48,8 +48,9 @@ def verify(
     from ptnsbc_tools.library.flight import flight_in
     from ptnsbc_tools.tables import show_verdict
 
-    flight = flight_in(bag, reading)
-    verdict = flight.verdict
+    with console.patience(f"reading {bag}"):
+        flight = flight_in(bag, reading)
+        verdict = flight.verdict
     drawn = None if picture is None else flight.save_picture(picture)
     raise typer.Exit(show_verdict(verdict, showing, picture=drawn))
 

@@ -91,7 +91,11 @@ def _give(
         code = max(_report(operation), 0 if done else _MISSING)
         if kill:
             return code
-    with _middleware(domain, fleet) as node:
+    from ptnsbc_nodes.comm.seal import operators_seal
+
+    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
+        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+    with LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal()) as node:
         if not local:
             operation.remote = node
             if ready:
@@ -108,15 +112,6 @@ def _give(
             if refusal is not None:
                 console.say(f"the recording lacks the landing: {refusal}")
     return code
-
-
-def _middleware(domain: int, fleet: str) -> LauncherNode:
-    from ptnsbc_nodes.comm.seal import operators_seal
-
-    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
-        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-
-    return LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
 
 
 def _tell_leader(node: LauncherNode, domain: int, *, kill: bool) -> int:

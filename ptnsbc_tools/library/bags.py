@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ptnsbc_core.nanoseconds import nanoseconds
-from ptnsbc_io import bag as bags
+from ptnsbc_io.bag import read_bag
 from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import refuse_outside
 from ptnsbc_tools.reading.bag_reader import scenario_of
+from ptnsbc_tools.reading.opener import open_bag
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
 
@@ -47,7 +48,7 @@ def trim(
     """
     refuse_outside("begin_s", begin_s)
     refuse_outside("end_s", end_s)
-    found = bags.read_bag(Path(bag))
+    found = read_bag(Path(bag))
     first_ns = found.start_ns + nanoseconds(begin_s)
     last_ns = found.end_ns
     if end_s is not None:
@@ -106,7 +107,7 @@ def rerun(
         BagError: no bag, or none that can be run again.
     """
     path = Path(bag)
-    found = bags.read_bag(path)
+    found = open_bag(path)
     flown = scenario_of(found, None if scenario is None else Path(scenario))
     flown = _trusted(path, flown, law, plugins)
     with console.compiling():
@@ -114,7 +115,7 @@ def rerun(
 
         load_fleet(flown)
     jobs = min(os.cpu_count() or 1, _MOST_JOBS)
-    return runs.rerun(found, flown, lambda: console.progress("re-running", progress), jobs)
+    return runs.rerun(found, flown, progress, jobs)
 
 
 def _trusted(path: Path, flown: Scenario, law: str | None, plugins: Sequence[str]) -> Scenario:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView
+from ptnsbc_tools.reading.opener import open_bag
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
@@ -77,10 +77,7 @@ def report(
     beside = None if other is None else _view_of(other, options)
     metadata: Mapping[str, str] = {"mode": "headless"}
     if bag is not None:
-        try:
-            metadata = read_bag(bag).metadata
-        except BagError:  # sqlite3 of other systems, which has no metadata
-            metadata = {}
+        metadata = open_bag(bag).metadata
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")
@@ -158,17 +155,7 @@ def table_of(source: Flight | Sweep) -> Any:
         about = {"plan": source.plan.name}
     fields, arrays = [], []
     for name, unit, values in columns:
-        array = _column(np.ascontiguousarray(values))
+        array = pa.array(np.ascontiguousarray(values))
         fields.append(pa.field(name, array.type, metadata={"unit": unit}))
         arrays.append(array)
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=about))
-
-
-def _column(values: NDArray[Any]) -> Any:
-    """An Arrow array; `pyarrow.array` would import pandas where it is installed, for a third of a second."""
-    import pyarrow as pa
-
-    if values.dtype.kind not in "iuf":
-        return pa.array(values)
-    kind = pa.from_numpy_dtype(values.dtype)
-    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])

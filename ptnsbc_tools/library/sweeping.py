@@ -73,14 +73,6 @@ class Sweep:
         """Fly draw k again: the same flight, bit for bit."""
         return fly(self.scenario(k), checked=False, progress=progress)
 
-    def compare(self, other: Sweep, *, margin_m: float = 0.001, seed: int = 0) -> SweepComparison:
-        """True if another sweep of the same draws is worse, as `ptnsbc compare` says it.
-
-        Raises:
-            ComparisonError: the sweeps draw differently.
-        """
-        return compare(self, other, margin_m=margin_m, seed=seed)
-
     def to_pandas(self) -> Any:
         """One row for each UAV and flight as a pandas DataFrame; `attrs["units"]` has the units."""
         frame = ros.library("pandas", "to_pandas()").DataFrame(dict(self.columns))

@@ -1,25 +1,17 @@
-"""Reads a bag of any kind into a Recording, the input of the verdict, and into the values that its nodes published.
-
-MCAP is read by `ptnsbc_io.bag`. The library rosbags reads sqlite3 and the files that rosbag2 compressed. Both
-give the same: topic, log time, CDR.
-"""
+"""Reads a bag of any kind into a Recording, the input of the verdict, and into the values that its nodes published."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import nanoseconds
-from ptnsbc_io.bag import Bag, BagError, BagMessage, BagTopic, read_bag
-from ptnsbc_io.bag.metadata import METADATA_FILE, read_metadata
+from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import (
     Diagnostics,
     Stamped,
@@ -40,6 +32,7 @@ from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
 from ptnsbc_tools.options import AS_RECORDED, UAV, ReadOptions
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
+from ptnsbc_tools.reading.opener import open_bag
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 _PLANNER = re.compile(r"uav([0-9]{1,3}): planner")
@@ -54,61 +47,6 @@ _TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
 _PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
 _SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
-
-
-class _RosbagsBag(Bag):
-    """A bag that rosbags reads; it is opened for every use, so that reading may stop at any message."""
-
-    def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
-        wanted = frozenset(self.topics if topics is None else topics)
-        with _rosbags(self.path) as reader:
-            chosen = [c for c in reader.connections if c.topic in wanted]
-            if not chosen:  # rosbags takes an empty list for all topics
-                return
-            for connection, stamp_ns, data in reader.messages(connections=chosen):
-                yield BagMessage(connection.topic, stamp_ns, bytes(data))
-
-
-@contextmanager
-def _rosbags(folder: Path) -> Iterator[Any]:
-    from rosbags.rosbag2 import Reader
-
-    try:
-        with Reader(folder) as reader:
-            yield reader
-    except (GeneratorExit, PtnsbcError):
-        raise
-    except Exception as error:
-        # All exceptions: damaged files raise errors of sqlite and YAML, key errors and value errors.
-        raise BagError(
-            f"{folder} cannot be read ({type(error).__name__}: {error}): expected a folder "
-            "that rosbag2 wrote, with its metadata.yaml"
-        ) from error
-
-
-def open_bag(path: Path) -> Bag:
-    """Open a bag of any kind; BagError when there is none."""
-    folder = path if path.is_dir() else path.parent
-    single = path.suffix == ".mcap" and path.is_file()
-    if single or not folder.is_dir() or not _needs_rosbags(folder):
-        return read_bag(path)
-    with _rosbags(folder) as reader:
-        found = [c for c in reader.connections if c.msgcount]
-        topics = {c.topic: BagTopic(c.topic, c.msgtype, c.msgcount) for c in found}
-        span_ns = int(reader.start_time), int(reader.end_time)
-    return _RosbagsBag(folder, topics, (), {}, *span_ns, cut=False, salvage=False)
-
-
-def _needs_rosbags(folder: Path) -> bool:
-    """True if a folder holds sqlite3 files, or files that rosbag2 compressed."""
-    if not (folder / METADATA_FILE).is_file():
-        return False
-    if not any(folder.glob("*.mcap")):
-        return True
-    try:
-        return bool(read_metadata(folder / METADATA_FILE).get("compression_mode"))
-    except BagError:
-        return False
 
 
 def scenario_of(bag: Bag, given: Path | None) -> Scenario:
@@ -330,4 +268,5 @@ def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
         latency=collector.counters.latency,
         injected=tuple(collector.counters.injected),
         window_s=options.window_s,
+        odom=options.odom,
     )

@@ -12,7 +12,6 @@ import signal
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -42,6 +41,7 @@ from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_sim.verdict.recording import with_taken
+from ptnsbc_tools import console
 from ptnsbc_tools.replay.uav_replay import (
     Account,
     Difference,
@@ -339,8 +339,6 @@ class RealTimeDriver(Driver):
             replay.account.waiting += steps
 
 
-Advance = Callable[[int, int], None]
-Progress = Callable[[], AbstractContextManager[Advance]]
 Accounts = dict[int, Account]  # by UAV
 
 EQUAL, DIFFERENT, VOID = "equal", "different", "void"
@@ -350,10 +348,6 @@ _EVERY = 5000  # messages between two reports of progress
 
 class RerunProcessError(PtnsbcError):
     """A process of the re-run ended without a result."""
-
-
-def _no_progress() -> AbstractContextManager[Advance]:
-    return nullcontext(lambda done, total: None)
 
 
 class Rerun(NamedTuple):
@@ -396,10 +390,8 @@ class Rerun(NamedTuple):
         }
 
 
-def rerun(bag: Bag, scenario: Scenario, progress: Progress = _no_progress, jobs: int = 1) -> Rerun:
-    """Re-run every step of every UAV of a flight of ours, in `jobs` processes.
-
-    `progress` gives a function that is called now and then with the messages done and their total.
+def rerun(bag: Bag, scenario: Scenario, progress: bool | None = False, jobs: int = 1) -> Rerun:
+    """Re-run every step of every UAV of a flight of ours, in `jobs` processes; `progress` as of `console.progress`.
 
     Raises:
         PluginError: the scenario names a plug-in without its file: a bag carries no code.
@@ -438,13 +430,14 @@ def _accounts(
     scenario: Scenario,
     uavs: Sequence[int],
     realtime: bool,
-    progress: Progress = _no_progress,
+    progress: bool | None = False,
 ) -> Accounts:
     state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
     wanted = state.wanted(bag)
     total = sum(bag.topics[name].messages for name in wanted)
-    with progress() as advance:  # after the fork: a progress bar has a thread
+    # After the fork: a progress bar has a thread.
+    with console.progress("re-running", progress) as advance:
         for done, message in enumerate(bag.messages(wanted), start=1):
             if done % _EVERY == 0 or done == total:
                 advance(done, total)

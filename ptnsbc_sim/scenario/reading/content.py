@@ -71,7 +71,7 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
         except MapError as error:
             raise ScenarioError(f"{where}.file: {path}: {error}") from None
     try:
-        with path.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8-sig") as stream:  # Excel begins a CSV file with a mark
             text = stream.read(MOST_SAMPLES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
         words = getattr(error, "strerror", None) or "expected UTF-8 text"

@@ -52,7 +52,7 @@ def test_sweeps_of_the_same_draws_are_compared(flown: Sweep) -> None:
     assert found.draws == 4
     elsewhere = sweep(off, 1, vary=VARY, starts="near:0.1", workers=1, progress=False)
     with pytest.raises(ComparisonError, match="starts"):
-        flown.compare(elsewhere)
+        compare(flown, elsewhere)
 
 
 def test_shares_are_drawn_against_what_was_drawn(flown: Sweep) -> None:

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
+from typer.testing import CliRunner
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
@@ -28,12 +29,15 @@ from ptnsbc_io.wire import (
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.library.bags import trim
 from ptnsbc_tools.options import ReadOptions, TopicPatternError
 from ptnsbc_tools.reading.bag_reader import (
     DiagnosticCounters,
     read_recording,
 )
 from ptnsbc_tools.reading.disk_track import SampleFile
+from ptnsbc_tools.reading.opener import open_bag
 from ptnsbc_tools.replay.rerun import rerun
 
 
@@ -309,6 +313,39 @@ def test_sqlite_file_stands_for_its_folder(flown, scenario_file, tmp_path):
     assert verdict_on(read_recording(file, ReadOptions(scenario_file, **DRONES))).verdict == "met"
 
 
+def test_every_command_reads_a_bag_that_rosbag2_converted(headless, scenario, tmp_path):
+    from ptnsbc_nodes.recording.player import profile
+
+    with (
+        rosbag2.Reader(headless) as reader,
+        rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=PLUGIN["sqlite3"]) as writer,
+    ):
+        made = {
+            c.topic: writer.add_connection(
+                c.topic,
+                c.msgtype,
+                typestore=STORE,
+                offered_qos_profiles=c.ext.offered_qos_profiles,
+            )
+            for c in reader.connections
+        }
+        for connection, stamp_ns, data in reader.messages():
+            writer.write(made[connection.topic], stamp_ns, data)
+    flown, bag = read_bag(headless), open_bag(tmp_path / "bag")
+    kept = {name: topic for name, topic in flown.topics.items() if topic.messages}
+    assert {name: topic.messages for name, topic in bag.topics.items()} == {
+        name: topic.messages for name, topic in kept.items()
+    }
+    assert all(profile(bag.topics[name]) == profile(topic) for name, topic in kept.items())
+    assert rerun(bag, scenario).verdict == "equal"
+    shown = CliRunner().invoke(app, ["bag", "info", str(tmp_path / "bag")])
+    assert shown.exit_code == 0 and set(kept) <= set(shown.stdout.split())
+    refused = CliRunner().invoke(app, ["bag", "info", str(tmp_path / "bag"), "--check"])
+    assert refused.exit_code == 2 and "only they have checksums" in refused.stderr
+    with pytest.raises(BagError, match="`ros2 bag convert` makes of others"):
+        trim(tmp_path / "bag", tmp_path / "part")
+
+
 @pytest.mark.parametrize("pattern", ["/odom", "/drone{N}/odom", ""])
 def test_pattern_without_a_uav(pattern):
     with pytest.raises(TopicPatternError, match=r"expected \{n\} for the id of the UAV"):
@@ -319,8 +356,10 @@ def test_what_is_missing_is_said(flown, scenario_file, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
     with pytest.raises(BagError, match=r"no scenario\.yaml attached: name the scenario with"):
         read_recording(bag, ReadOptions(None, **DRONES))
-    nothing = read_recording(bag, ReadOptions(scenario_file))
-    with pytest.raises(Exception, match="expected odometry of every UAV"):
+    nothing = read_recording(bag, ReadOptions(scenario_file, odom="/px4_{n}/odom"))
+    with pytest.raises(
+        Exception, match=r"no message on /px4_1/odom.*expected odometry of every UAV"
+    ):
         verdict_on(nothing)
 
 

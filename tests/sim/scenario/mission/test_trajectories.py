@@ -135,7 +135,7 @@ def test_hover_is_a_line_that_stays() -> None:
 
 
 def test_csv_is_carried_by_the_scenario(tmp_path: Path) -> None:
-    (tmp_path / "path.csv").write_text(CSV)
+    (tmp_path / "path.csv").write_text(CSV, encoding="utf-8-sig")  # as Excel does
     path = tmp_path / "mine.yaml"
     path.write_text(
         "extends: paper_5_free\nname: mine\nleader: {trajectory: {kind: csv, file: path.csv}}\n"
@@ -190,6 +190,10 @@ def test_waypoints_that_are_none(change: dict[str, Any], words: str) -> None:
         ("0,0,0,1\n1,0,1e300,1\n", "expected no number beyond 1e"),
         ("0,0,0,1\n0,0,0,1\n", "row 2 of numbers, t = 0: expected times"),
         ("1,0,0,1\n2,0,0,1\n", "row 1 of numbers, t = 1: expected times"),
+        ("t,y,x,z\n0,0,0,1\n1,0,0,1\n", "row 1: column y: expected t, x, y, z"),
+        ("Time [msec],x,y,z\n0,0,0,1\n1,0,0,1\n", r"row 1: column Time \[msec\]: expected t"),
+        ("t,x,y,z,yaw_deg\n0,0,0,1,9\n1,0,0,1,9\n", "row 1: column yaw_deg: expected .* rad"),
+        ("0,O,0,1\n0,0,0,1\n1,0,0,1\n", "row 1: column 0: expected t"),
     ],
 )
 def test_rows_that_are_none(text: str, words: str) -> None:
