@@ -69,7 +69,7 @@ def _middleware() -> Findings:
 
             name = str(get_rmw_implementation_identifier())
     except PtnsbcError as error:
-        yield judge("middleware", str(error), "rclpy", "only check, simulate and verify work")
+        yield judge("middleware", str(error), "rclpy", "fly and judge without it: ptnsbc simulate, sweep, verify")
         return
     value = f"{name}, rclpy from {Path(rclpy.__file__).parents[1]}"
     advice = "" if name == "rmw_fastrtps_cpp" else "unset RMW_IMPLEMENTATION"

@@ -10,6 +10,7 @@ LARGEST_MB = 1e6
 MOST_RUNS = 1_000_000
 DRY_RUNS = 20  # perturbed flights before a flight
 SHORTEST_WINDOW_S = 0.01
+FINEST_M, FARTHEST_M = 1e-6, 1e6
 
 
 class LimitError(PtnsbcError):

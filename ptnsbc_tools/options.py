@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.table import TaskName
-from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S, refuse_outside
+from ptnsbc_tools.limits import FARTHEST_M, FINEST_M, LONGEST_S, SHORTEST_WINDOW_S, refuse_outside
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
@@ -259,7 +259,7 @@ class ReadOptions:
     """Options of reading and judging a bag.
 
     Raises:
-        LimitError: a time that no bag reaches.
+        LimitError: a time that no bag reaches, or a tolerance that is none.
         TopicPatternError: a name of topics without {n}.
     """
 
@@ -271,7 +271,8 @@ class ReadOptions:
         option(
             "--tolerance M",
             "Limit of the formation error at the deadline. Default: that of the scenario.",
-            1e-6,
+            FINEST_M,
+            FARTHEST_M,
         ),
     ] = None
     window_s: Annotated[
@@ -300,6 +301,7 @@ class ReadOptions:
     ] = None
 
     def __post_init__(self) -> None:
+        refuse_outside("tolerance_m", self.tolerance_m, FINEST_M, FARTHEST_M)
         refuse_outside("window_s", self.window_s, SHORTEST_WINDOW_S)
         refuse_outside("epoch_s", self.epoch_s)
         for name in ("odom", "wrench"):

@@ -14,12 +14,8 @@ from ptnsbc_core.errors import PtnsbcError
 INSTALL = "install the extra [ros] or source ROS 2"
 
 
-class RosMissingError(PtnsbcError):
-    """A package that a command needs is not installed."""
-
-
 class LibraryMissingError(PtnsbcError):
-    """A library that a function needs is not installed."""
+    """A library that a command or a function needs is not installed."""
 
 
 def library(name: str, what: str, extra: str = "tables") -> Any:
@@ -59,4 +55,4 @@ def required(advice: str = INSTALL) -> Iterator[None]:
         yield
     except ImportError as error:
         package = str(error.name).partition(".")[0]
-        raise RosMissingError(f"{package} is not installed: {advice}") from None
+        raise LibraryMissingError(f"{package} is not installed: {advice}") from None

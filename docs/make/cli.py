@@ -55,6 +55,8 @@ def _parameters(command: Callable[..., Any]) -> Iterator[Parameter]:
         if hints[name] is Context:
             continue
         kind, info = get_args(hints[name])
+        if getattr(info, "hidden", False):
+            continue
         kinds = [part for part in get_args(kind) if part is not NoneType]
         if NoneType in get_args(kind):
             (kind,) = kinds
@@ -82,7 +84,7 @@ def _row(one: Parameter) -> tuple[str, ...]:
 
 def _names(one: Parameter) -> str:
     if one.is_argument:
-        return f"`{one.word.strip('[]')}`"
+        return f"`{one.word if one.is_required else one.word.strip('[]')}`"
     return ", ".join(f"`{name}`" for name in _declared(one))
 
 

@@ -40,16 +40,8 @@ _FLYING = " that flies a scenario with the key mission"
 mission = group("The legs of a flying fleet: list, start, cancel; arm before them.")
 
 
-class MissionError(PtnsbcError):
-    """A word that the leader did not take."""
-
-
-class InjectError(PtnsbcError):
-    """A fault that cannot be injected."""
-
-
-class NoFleetError(PtnsbcError):
-    """It is not clear which fleet is meant."""
+class OrderError(PtnsbcError):
+    """An order that no flying fleet takes, or of which it is not clear which fleet is meant."""
 
 
 @mission.command("list")
@@ -84,7 +76,7 @@ def start(
     numbers = {str(number): number for number in known.values()}
     number = known.get(leg, numbers.get(leg))
     if number is None:
-        raise MissionError(f"leg {leg}: expected one of {', '.join(known)}")
+        raise OrderError(f"leg {leg}: expected one of {', '.join(known)}")
     console.say(_answer(f"leg_{number}", domain, namespace))
 
 
@@ -101,7 +93,7 @@ def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> N
 
 
 def _answer(service: str, domain: int | None, namespace: str) -> str:
-    """The answer of the leader; MissionError when no fleet with a mission is there, or it refuses."""
+    """The answer of the leader; OrderError when no fleet with a mission is there, or it refuses."""
     number = ros.domain_number(domain)
     with _fleet_node(number, "mission", namespace) as node:
         from ptnsbc_nodes.fleet.fleet_node import LeaderClient
@@ -115,7 +107,7 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
             f"no fleet answered: expected one there{_FLEETS.get(service, _FLYING)}; "
             "choose another by --domain N or --namespace NAME"
         )
-    raise MissionError(f"domain {number}: {reason}")
+    raise OrderError(f"domain {number}: {reason}")
 
 
 def _fleet_node(domain: int, name: str, namespace: str) -> FleetNode:
@@ -160,25 +152,25 @@ class Fault:
     ] = None
 
     def block(self) -> FaultBlock:
-        """The fault as a scenario has it; InjectError when the options do not go together."""
+        """The fault as a scenario has it; OrderError when the options do not go together."""
         from pydantic import ValidationError
 
         from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
         from ptnsbc_sim.scenario.problems import scenario_error
 
         if self.kind not in KINDS:
-            raise InjectError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
+            raise OrderError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
         keys = {key: value for key, value in vars(self).items() if value is not None}
         if self.offset_m is not None:
             keys["offset_m"] = list(self.offset_m)
         try:
             fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
         except ValidationError as error:
-            raise InjectError(_in_options(str(scenario_error("inject", error, keys)))) from None
+            raise OrderError(_in_options(str(scenario_error("inject", error, keys)))) from None
         uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
         bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
         for problem in fault_problems(fault, [*uavs, *bridges]):
-            raise InjectError(_in_options(str(problem)))
+            raise OrderError(_in_options(str(problem)))
         return fault
 
 
@@ -216,14 +208,14 @@ def inject(
         console.say(f"injected: {shown}")
         return
     if not block.rule.live:
-        raise InjectError(f"{block.kind}: expected it under faults in the scenario")
+        raise OrderError(f"{block.kind}: expected it under faults in the scenario")
     number = ros.domain_number(domain)
     with _fleet_node(number, "inject", namespace) as node:
         from ptnsbc_nodes.fleet.fault_injector import announce_fault
 
         listeners = announce_fault(node, block, _LISTENERS_S)
     if not listeners:
-        raise InjectError(
+        raise OrderError(
             f"domain {number}: nobody takes faults: expected a fleet there whose scenario has the key "
             "faults; an empty list will do"
         )
@@ -235,11 +227,11 @@ def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
     from ptnsbc_autopilot.fault_lines import send_fault
 
     if control is None:
-        raise InjectError(
+        raise OrderError(
             f"{fault.kind}: expected --control PORT, as of `ptnsbc autopilot --control PORT`"
         )
     if fault.duration_s is not None:
-        raise InjectError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
+        raise OrderError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
     what = f"battery {fault.charge}" if fault.kind == "battery" else "gps off"
     send_fault(control, f"{fault.uav} {what}")
 
@@ -307,7 +299,7 @@ def _health(domain: int, namespace: str, names: list[str]) -> int:
 
 
 def _watched_domain(domain: int | None) -> int:
-    """The domain that is meant; NoFleetError when none is named, and this host flies no fleet, or several."""
+    """The domain that is meant; OrderError when none is named, and this host flies no fleet, or several."""
     if domain is not None or os.environ.get("ROS_DOMAIN_ID"):
         return ros.domain_number(domain)
     from ptnsbc_nodes.runtime.environment import flying_domains
@@ -317,4 +309,4 @@ def _watched_domain(domain: int | None) -> int:
         return flying[0]
     domains = ", ".join(map(str, flying))
     seen = f"fleets fly in the domains {domains}" if flying else "no fleet flies"
-    raise NoFleetError(f"on this host {seen}: expected --domain N, as `ptnsbc fleet` prints it")
+    raise OrderError(f"on this host {seen}: expected --domain N, as `ptnsbc fleet` prints it")

@@ -12,7 +12,7 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
-from ptnsbc_tools.limits import LONGEST_S, MOST_RUNS
+from ptnsbc_tools.limits import FARTHEST_M, LONGEST_S, MOST_RUNS
 from ptnsbc_tools.options import (
     SWEEPS,
     Choices,
@@ -253,7 +253,7 @@ def compare(
     a: Annotated[Path, argument("A", "Folder or --name of a sweep, or a bag.")],
     b: Annotated[Path, argument("B", "Another one of the same kind.")],
     margin: Annotated[
-        float, option("--margin M", "An error that grew by less is not worse.", 0.0)
+        float, option("--margin M", "An error that grew by less is not worse.", 0.0, FARTHEST_M)
     ] = 0.001,
     seed: Annotated[int, option("--seed N", "Seed of the bootstrap.", 0)] = 0,
     html: Annotated[

@@ -84,7 +84,9 @@ def bridge(vehicle: Vehicle) -> None:
 
 def tune(
     vehicle: Vehicle,
-    box: Annotated[float, option("--box M", "Side of the box that the vehicle may use.")] = 3.0,
+    box: Annotated[
+        float, option("--box M", "Side of the box that the vehicle may use.", 0.0, _FARTHEST_M)
+    ] = 3.0,
     alike: Annotated[
         bool, option("--alike", "Write the result for all vehicles with the same autopilot.")
     ] = False,

@@ -19,7 +19,7 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, CheckReport
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
-from ptnsbc_tools.limits import DRY_RUNS
+from ptnsbc_tools.limits import DRY_RUNS, FARTHEST_M, FINEST_M, MOST_RUNS, refuse_outside
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.reading.bag_reader import read_status
 
@@ -66,6 +66,7 @@ def check(
     """
     from ptnsbc_tools.check.dry_run import flown, plan
 
+    refuse_outside("dry_runs", dry_runs, 0, MOST_RUNS)
     scenario = load(scenario)
     with console.compiling():
         findings = findings_of(scenario)
@@ -131,7 +132,7 @@ def read_bag(
 
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
-        LimitError: a window or an epoch that no bag reaches.
+        LimitError: a window or an epoch that no bag reaches, or a tolerance that is none.
     """
     given = None if scenario is None else Path(scenario)
     options = ReadOptions(given, tolerance_m, window_s, odom, wrench, epoch_s)
@@ -146,6 +147,7 @@ def verdict(flight: Flight, tolerance_m: float | None = None, *, strict: bool = 
         tolerance_m: limit of the error at the deadline; by default as the flight says.
         strict: UAVs that gave way and came late have missed.
     """
+    refuse_outside("tolerance_m", tolerance_m, FINEST_M, FARTHEST_M)
     judged = flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
     return judged.strict() if strict else judged
 
@@ -171,7 +173,7 @@ def fly_fleet(
 
     Raises:
         CheckError: the pre-flight check refuses the scenario.
-        RosMissingError: ROS 2 is not installed.
+        LibraryMissingError: ROS 2 is not installed.
         FlightFailedError: a process ended in flight, or Ctrl-C ended it.
     """
     scenario = load(scenario)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,10 +28,6 @@ _READ_MCAP = {".rrd": "Rerun", ".ulg": "PlotJuggler"}
 
 class ExportError(PtnsbcError):
     """A file that no table can be written to."""
-
-
-class ReportError(PtnsbcError):
-    """A report that cannot be made."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +61,7 @@ def report(
         pictures: write the figures as PNG beside the page.
 
     Raises:
-        ReportError: no such bag.
-        PtnsbcError: a bag cannot be read; nothing is written.
+        BagError: a bag cannot be read; nothing is written.
     """
     from ptnsbc_tools.report.page import page as page_of
 
@@ -75,9 +70,7 @@ def report(
     beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
     target = beside_bag if folder is None else Path(folder)
     beside = None if other is None else _view_of(other, options)
-    metadata: Mapping[str, str] = {"mode": "headless"}
-    if bag is not None:
-        metadata = open_bag(bag).metadata
+    metadata = {"mode": "headless"} if bag is None else open_bag(bag).metadata
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")
@@ -92,8 +85,6 @@ def report(
 def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
     if isinstance(flight, Flight):
         return flight.view
-    if not Path(flight).exists():
-        raise ReportError(f"{flight}: no such bag")
     return flight_in(Path(flight), options).view
 
 

@@ -23,6 +23,7 @@ from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.library.flight import Flight, new_axes
 from ptnsbc_tools.library.flying import ScenarioLike, fly, load
+from ptnsbc_tools.limits import MOST_RUNS, refuse_outside
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
@@ -111,6 +112,7 @@ def plan(
     **rest: Any,
 ) -> SweepPlan:
     """The flights of a sweep; the arguments are those of `sweep`, `rest` are further fields of SweepPlan."""
+    refuse_outside("runs", runs, 1, MOST_RUNS)
     if isinstance(vary, Mapping):
         vary = [f"{key}={values}" for key, values in vary.items()]
     text = ""
@@ -188,6 +190,7 @@ def sweep(
         workers: processes, by default one for each core; 1: this process.
 
     Raises:
+        LimitError: fewer than one or more than a million `runs`.
         SweepError: a draw that cannot be, another sweep in the folder, or no draw could be flown.
     """
     flown = plan(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.agent import load_diagnostics
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.bag.writer import check_replaceable
@@ -16,20 +15,16 @@ from ptnsbc_io.wire import HeaderTemplate, Stamped, encode_clock, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, Transforms
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
-from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.uav.uav_controller import sent_faults
 from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
+from ptnsbc_tools import ros
 from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
 Message = tuple[str, bytes]  # topic, CDR
-
-
-class BagSupportError(PtnsbcError):
-    """The ROS message packages that a bag needs are missing."""
 
 
 class _UavMessages:
@@ -145,14 +140,9 @@ def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
 
 def prepare_bag(directory: Path, *, overwrite: bool) -> None:
     """Refuse a bag that cannot be written, before the flight and not after it."""
-    environment.prepare()
-    try:
+    with ros.required():
         import_module("ptnsbc_nodes.recording.recorder")
         import_module("ptnsbc_nodes.comm.drawing")
-    except ImportError as error:
-        raise BagSupportError(
-            f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
-        ) from None
     check_replaceable(directory, overwrite=overwrite)
 
 

@@ -37,6 +37,9 @@ TIMED = (
     ("sweep", "paper_5", "-o", "OUT", "--runs"),
     ("sweep", "paper_5", "-o", "OUT", "--check"),
     ("check", "paper_5", "--runs"),
+    *((*words, "--tolerance") for words in READERS),
+    ("compare", SAMPLE, SAMPLE, "--margin"),
+    ("tune", "--uav", "1", "--box"),
     ("stop", "--patience"),
     ("autopilot", "--origin-spread"),
     ("autopilot", "--yaw"),
@@ -75,6 +78,17 @@ def test_the_library_refuses_it_too(
 ) -> None:
     with pytest.raises(PtnsbcError, match=rf"^{name}: .*: expected [\d.]+ to 1e\+06$"):
         call(value, tmp_path / "out")
+
+
+def test_the_library_refuses_numbers_that_mean_nothing() -> None:
+    flight = ptnsbc.read_bag(SAMPLE)
+    for call, words in (
+        (lambda: ptnsbc.verdict(flight, -1.0), r"tolerance_m: -1: expected 1e-06 to 1e\+06"),
+        (lambda: ptnsbc.check("paper_5", dry_runs=-1), r"dry_runs: -1: expected 0 to 1e\+06"),
+        (lambda: ptnsbc.sweep("paper_5", 10**12), r"runs: 1e\+12: expected 1 to 1e\+06"),
+    ):
+        with pytest.raises(PtnsbcError, match=words):
+            call()
 
 
 WITHOUT_MEMORY = (

@@ -55,7 +55,7 @@ def test_what_is_refused(words, said):
 
 def test_without_a_fleet_that_takes_faults_it_says_so(domain, monkeypatch):
     monkeypatch.setattr(command, "_LISTENERS_S", 0.5)
-    with pytest.raises(command.InjectError, match="whose scenario has the key faults"):
+    with pytest.raises(command.OrderError, match="whose scenario has the key faults"):
         command.inject(command.Fault("silence", uav=2), domain=domain)
 
 
@@ -123,7 +123,7 @@ def test_an_empty_domain_says_what_is_expected_there(monkeypatch):
             f"domain {number}: no fleet answered: expected one there that flies a scenario with the key "
             "mission; choose another by --domain N or --namespace NAME"
         )
-        with pytest.raises(command.MissionError, match=words):
+        with pytest.raises(command.OrderError, match=words):
             command.list_legs(domain=number)
-        with pytest.raises(command.MissionError, match="expected one there that waits for"):
+        with pytest.raises(command.OrderError, match="expected one there that waits for"):
             command.arm(domain=number)

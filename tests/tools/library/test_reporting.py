@@ -15,10 +15,11 @@ import pytest
 from typer.testing import CliRunner
 
 import ptnsbc
+from ptnsbc_io.bag import BagError
 from ptnsbc_sim.verdict import Recording
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.flight import Flight
-from ptnsbc_tools.library.reporting import ExportError, ReportError, checked, export
+from ptnsbc_tools.library.reporting import ExportError, checked, export
 
 Fly = Callable[..., Recording]
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
@@ -86,7 +87,7 @@ def test_a_report_names_its_page_and_the_verdict(tmp_path: Path) -> None:
 
 
 def test_a_bag_that_is_not_there_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ReportError, match="none: no such bag"):
+    with pytest.raises(BagError, match="none: no such bag"):
         ptnsbc.report(tmp_path / "none")
     assert list(tmp_path.iterdir()) == []
 
