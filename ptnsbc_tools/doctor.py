@@ -69,7 +69,12 @@ def _middleware() -> Findings:
 
             name = str(get_rmw_implementation_identifier())
     except PtnsbcError as error:
-        yield judge("middleware", str(error), "rclpy", "fly and judge without it: ptnsbc simulate, sweep, verify")
+        yield judge(
+            "middleware",
+            str(error),
+            "rclpy",
+            "fly and judge without it: ptnsbc simulate, sweep, verify",
+        )
         return
     value = f"{name}, rclpy from {Path(rclpy.__file__).parents[1]}"
     advice = "" if name == "rmw_fastrtps_cpp" else "unset RMW_IMPLEMENTATION"

@@ -17,7 +17,7 @@ from ptnsbc_sim.verdict.encounters import listed
 from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.verdict import LegVerdict
 from ptnsbc_tools import console
-from ptnsbc_tools.check.finding import Finding
+from ptnsbc_tools.check.finding import INFO, Finding
 from ptnsbc_tools.options import Showing
 
 _COLOURS = {
@@ -102,7 +102,7 @@ def findings_table(findings: Iterable[Finding], *, brief: bool = False) -> Table
         if one.limit and not (brief and one.advice):
             text.append(f"\nexpected: {one.limit}", style="dim")
         if one.advice:
-            text.append(f"\nchange: {one.advice}")
+            text.append(f"\n{'' if one.severity == INFO else 'change: '}{one.advice}")
         table.add_row(word(one.severity), text)
     return table
 

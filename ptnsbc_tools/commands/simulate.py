@@ -1,23 +1,44 @@
-"""`ptnsbc simulate`: the whole swarm in this process, and its verdict."""
+"""Flights in this process: one of `ptnsbc simulate`, many of `ptnsbc sweep`, and `ptnsbc compare` of two."""
 
 from __future__ import annotations
 
+import shutil
+import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.limits import FARTHEST_M, LONGEST_S, MOST_RUNS
 from ptnsbc_tools.options import (
+    SWEEPS,
     BagOption,
+    Choices,
     FlightChoices,
+    JsonOption,
     OverwriteOption,
     PictureOption,
     Showing,
+    StrictOption,
+    VerboseOption,
     argument,
     option,
+    scenario_with,
 )
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.sweep.plan import SweepPlan
+    from ptnsbc_sim.sweep.runner import SweepResult
+    from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep
+
+_BASE = "paper_5_free"
+_LACKING, _WORSE, _INTERRUPTED = 1, 1, 130
+_MOST_NAMED = 5
+_MADE = ("plan.json", "table.parquet", "chunks", "report")
 
 
 def simulate(
@@ -75,3 +96,278 @@ def simulate(
     if bag is None and not showing.json:
         console.show("next: record it with --bag DIR, then ptnsbc report DIR")
     raise typer.Exit(code)
+
+
+def _print_families() -> None:
+    from ptnsbc_sim.sweep.family import families, family_from_text, find_family
+
+    for name in families():
+        path = find_family(name)
+        try:
+            described = family_from_text(path.read_text(encoding="utf-8"), str(path)).description
+        except PtnsbcError as error:
+            described = f"not in this version: {error}"
+        print(f"{name:12} {described}")
+
+
+@dataclass(frozen=True)
+class Draws(Choices):
+    """Options of the draws."""
+
+    runs: Annotated[
+        int,
+        option(
+            "--runs -n N", "Flights; of each cell when lists or grids are varied.", 1, MOST_RUNS
+        ),
+    ] = 200
+    vary: Annotated[
+        list[str] | None,
+        option(
+            "--vary KEY=VALUES",
+            "A dotted key and LO:HI (uniform), MEAN±SIGMA or MEAN+-SIGMA (normal), LO:HI:COUNT (grid) "
+            "or A,B,C (list). Repeatable: lists and grids make all combinations.",
+        ),
+    ] = None
+    latin: Annotated[bool, option("--latin", "Draw the ranges from one Latin hypercube.")] = False
+    starts: Annotated[
+        str,
+        option(
+            "--starts WHERE",
+            "Starts: file, near:SIGMA (beside those of the file) or box:X,Y,Z (anywhere in it), in metres.",
+        ),
+    ] = "file"
+    family: Annotated[
+        str | None,
+        option(
+            "--family FILE",
+            "Draw whole scenarios from a family: its file, or a name that --list-families prints.",
+        ),
+    ] = None
+    draw_seed: Annotated[int, option("--seed N", "Seed of all draws.", 0)] = 0
+    stop_after: Annotated[
+        float | None, option("--stop-after S", "End every flight at this time.", 0.01, LONGEST_S)
+    ] = None
+    check: Annotated[
+        int,
+        option(
+            "--check N",
+            "Before each flight a dry run with N perturbed flights accepts or refuses it; flown it is anyway.",
+            0,
+            MOST_RUNS,
+        ),
+    ] = 0
+    name: Annotated[
+        str | None, option("--name NAME", "Default: that of the scenario or the family.")
+    ] = None
+
+    def plan(self, scenario: str | None) -> SweepPlan:
+        """The flights of a scenario, or of the family."""
+        from ptnsbc_sim.sweep.draws import SweepError
+        from ptnsbc_tools.library import sweeping
+
+        if scenario is None and self.family is None:
+            raise SweepError("expected a SCENARIO or --family")
+        keys = self.keys()
+        return sweeping.plan(
+            scenario_with(scenario or _BASE, keys),
+            self.runs,
+            vary=self.vary or (),
+            starts=self.starts,
+            family=self.family,
+            overrides=keys,
+            name=self.name,
+            latin=self.latin,
+            seed=self.draw_seed,
+            stop_after_s=self.stop_after,
+            check=self.check,
+        )
+
+
+def sweep(
+    draws: Draws,
+    scenario: Annotated[
+        str | None,
+        argument(
+            "[SCENARIO]",
+            f"A scenario file, or a name. With --family: the vehicle and gains, by default {_BASE}.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, option("--output -o DIR", "Folder. Default: out/sweeps/NAME.")
+    ] = None,
+    workers: Annotated[
+        int | None, option("--workers -j N", "Processes. Default: one per core.", 1, 256)
+    ] = None,
+    scheduler: Annotated[
+        str | None, option("--scheduler ADDRESS", "Fly on the workers of this Dask cluster.")
+    ] = None,
+    report: Annotated[
+        bool, option("--report/--no-report", "Write a page and figures into DIR/report.")
+    ] = True,
+    overwrite: Annotated[
+        bool, option("--overwrite", "Replace a sweep of another plan, or of other laws, in DIR.")
+    ] = False,
+    strict: StrictOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    list_families: Annotated[
+        bool, option("--list-families", "Print the families that can be given by name.")
+    ] = False,
+) -> None:
+    """Fly a scenario many times: the share that meets its deadline.
+
+    A sweep that was ended early goes on where it ended: give the same command again. Exit code 0: all
+    draws were flown, whatever their verdicts are. 1: some draws could not be flown; they are named.
+    """
+    from ptnsbc_sim.sweep.draws import SweepError
+    from ptnsbc_tools.sweeps import summary
+    from ptnsbc_tools.sweeps.summary import read_sweep
+
+    if list_families:
+        _print_families()
+        return
+    if scheduler is not None and workers is not None:
+        raise SweepError("--scheduler: the cluster has its own workers: leave out --workers")
+    plan = draws.plan(scenario)
+    folder = out or SWEEPS / plan.name
+    _clear(folder, plan, overwrite=overwrite)
+    flown = _fly(plan, folder, workers, scheduler)
+    found = read_sweep(folder, strict=strict)
+    page = None
+    if report:
+        from ptnsbc_tools.sweeps.sweep_report import write_report
+
+        with console.patience("drawing"):
+            page = write_report(found)
+    if json:
+        failed = [
+            {"first": one.draws.start, "last": one.draws[-1], "error": one.error}
+            for one in flown.failed
+        ] + [{"first": k, "last": k, "error": cause} for k, cause in found.not_flown]
+        files = {"table": str(flown.table), "report": str(page) if page else None}
+        console.print_json({**summary.as_json(found), "failed": failed, **files})
+    else:
+        _show(found, flown, page, verbose=verbose)
+    if found.missing:
+        raise typer.Exit(_LACKING)
+
+
+def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
+    """Remove a sweep of another plan or of other laws; other files in the folder stay, and have it refused."""
+    from ptnsbc_sim.sweep.draws import SweepError
+    from ptnsbc_sim.sweep.runner import held
+
+    other = held(folder, plan)
+    if not other:
+        return
+    if not overwrite:
+        raise SweepError(f"{folder}: holds {other}: choose another --output, or --overwrite")
+    for name in _MADE:
+        made = folder / name
+        if made.is_dir():
+            shutil.rmtree(made)
+        else:
+            made.unlink(missing_ok=True)
+
+
+def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | None) -> SweepResult:
+    from ptnsbc_sim.sweep.draws import SweepError
+    from ptnsbc_tools.library.sweeping import fly_plan
+
+    done = [0]
+    try:
+        return fly_plan(plan, folder, workers=workers, scheduler=scheduler, count=done.append)
+    except KeyboardInterrupt:
+        console.say(
+            f"interrupted: {done[-1]} of {plan.draws} flights are kept in {folder}; "
+            "the same command goes on from there"
+        )
+        raise typer.Exit(_INTERRUPTED) from None
+    except OSError as error:
+        what = f"scheduler {scheduler}" if scheduler is not None else str(folder)
+        raise SweepError(f"{what}: {error}") from error
+
+
+def _show(found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: bool) -> None:
+    """Say who met and was in place in a line, then the shares and distances; `verbose`: all tables."""
+    from ptnsbc_tools.sweeps import summary
+    from ptnsbc_tools.tables import print_plain
+
+    out = console.out()
+    out.print(summary.title(found), summary.line(found), sep="\n", soft_wrap=not out.is_terminal)
+    for table in summary.tables(found, brief=not verbose):
+        out.print(table) if verbose else print_plain(table)
+    out.print()
+    for worst in summary.worst(found)[: None if verbose else 1]:
+        print(f"fly draw {worst.draw} again: {worst.command}")
+    for failed in flown.failed:
+        first, last = failed.draws.start, failed.draws[-1]
+        print(f"draws {first} to {last} were not flown: {failed.error}", file=sys.stderr)
+    for draw, cause in found.not_flown[:_MOST_NAMED]:
+        print(f"draw {draw} was not flown: {cause}", file=sys.stderr)
+    if (rest := len(found.not_flown) - _MOST_NAMED) > 0:
+        print(f"{rest} more were not flown: their causes are in the table", file=sys.stderr)
+    print(f"table: {flown.table}")
+    if page is not None:
+        print(f"report: {page}")
+
+
+def compare(
+    a: Annotated[Path, argument("A", "Folder or --name of a sweep, or a bag.")],
+    b: Annotated[Path, argument("B", "Another one of the same kind.")],
+    margin: Annotated[
+        float, option("--margin M", "An error that grew by less is not worse.", 0.0, FARTHEST_M)
+    ] = 0.001,
+    seed: Annotated[int, option("--seed N", "Seed of the bootstrap.", 0)] = 0,
+    html: Annotated[
+        Path | None, option("--html FILE", "Write the comparison as a page too.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Say whether B is worse than A: what was met and the errors, paired by draw, with intervals.
+
+    B is worse when it meets the deadline in fewer flights, or when the largest error after the deadline
+    has grown in the median, and that is no chance at 5 %. Exit code 0: B is not worse. 1: B is worse.
+    2: the two cannot be compared.
+    """
+    from ptnsbc_tools.sweeps import comparison
+
+    # A name means the folder where `ptnsbc sweep` puts the sweep of this name.
+    a, b = (SWEEPS / one if not one.exists() and (SWEEPS / one).is_dir() else one for one in (a, b))
+    with console.patience("reading"):
+        first, second = _tables(a, b)
+    found = comparison.compare(first, second, margin_m=margin, seed=seed)
+    if html is not None:
+        from ptnsbc_tools.sweeps.sweep_report import write_comparison
+
+        with console.patience("drawing"):
+            write_comparison(html, (str(a), str(b)), (first, second), found)
+    if json:
+        console.print_json({"a": str(a), "b": str(b), **comparison.as_json(found)})
+    else:
+        out = console.out()
+        for table in comparison.tables(found):
+            out.print(table)
+        out.print(comparison.line(found), soft_wrap=True)
+        if html is not None:
+            print(f"page: {html}")
+    if found.worse:
+        raise typer.Exit(_WORSE)
+
+
+def _tables(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
+    from ptnsbc_sim.sweep.runner import PLAN
+    from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.library.sweeping import compared, open_sweep
+    from ptnsbc_tools.sweeps.comparison import ComparisonError
+
+    for path in (a, b):
+        if not path.exists():
+            raise ComparisonError(
+                f"{path}: no such sweep or bag, and no sweep of that name in {SWEEPS}"
+            )
+    is_sweep = {(path / PLAN).is_file() for path in (a, b)}
+    if len(is_sweep) > 1:
+        raise ComparisonError(f"{a}, {b}: expected two sweeps or two bags")
+    read = open_sweep if is_sweep.pop() else flight_in
+    return compared(read(a), read(b))

@@ -18,6 +18,7 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_tools import console
 from ptnsbc_tools.library.reporting import report
 from ptnsbc_tools.live.dashboard import OVER, Sink
 from ptnsbc_tools.live.server import STOPS, Feed, FoxgloveSink, LiveServer, live_page
@@ -77,7 +78,8 @@ def watch(
     """
     with StopRequest() as stop, ExitStack() as stack:
         observer = stack.enter_context(Observer(domain, namespace))
-        scenario = scenario or observer.scenario(_JOIN_S, lambda: stop.came)
+        with console.patience(f"looking for a fleet in domain {domain}"):
+            scenario = scenario or observer.scenario(_JOIN_S, lambda: stop.came)
         state = observer.watch(scenario)
         feed = Feed()
         feed.set_stage(stage(scenario))

@@ -55,7 +55,7 @@ def open_bag(path: Path, *, salvage: bool = False) -> Bag:
     with _rosbags(folder) as reader:
         found = [c for c in reader.connections if c.msgcount]
         topics = {c.topic: BagTopic(c.topic, c.msgtype, c.msgcount, _offered_qos(c)) for c in found}
-        span_ns = int(reader.start_time), int(reader.end_time)
+        span_ns = int(reader.start_time), int(reader.end_time) - 1  # it ends after the last message
     return _RosbagsBag(folder, topics, (), {}, *span_ns, cut=False, salvage=False)
 
 
