@@ -33,7 +33,7 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         yield part
         part.replace(path)
     except OSError as error:
-        raise OutputFileError(f"{path}: cannot be written: {error.strerror}") from error
+        raise OutputFileError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
             part.unlink()

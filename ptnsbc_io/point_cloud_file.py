@@ -91,7 +91,7 @@ def contradiction(cells: Sequence[str], columns: str) -> str:
         words = set(re.findall("[a-z]+", cell.lower()))
         moved = words & set(expected) - set(expected[place : place + 1])
         if moved or words & _OTHER_UNITS or re.match(r"\s*[-+.]?\d", cell):
-            return f"column {cell.strip()[:40]}: expected {columns}, in m, s and rad"
+            return f"column {cell.strip()[:40]}: expected {columns} with commas between them, in m, s and rad"
     return ""
 
 

@@ -202,7 +202,9 @@ def rows_of(text: str, names: str, widths: Sequence[int]) -> Array:
                 if wrong := contradiction(cells, names):
                     raise ValueError(f"row {number}: {wrong}") from None
                 continue
-            raise ValueError(f"row {number}: expected numbers {names}") from None
+            raise ValueError(
+                f"row {number}: expected numbers {names} with commas between"
+            ) from None
         if len(row) not in widths or len(row) != len((rows or [row])[0]):
             raise ValueError(f"row {number}: {len(row)} numbers: expected {names}")
         if not np.isfinite(row).all():

@@ -121,7 +121,11 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
         ("a.csv", "x,y,z\n", "expected rows of numbers x, y, z"),
         ("a.csv", "1,2\n3,4\n", "expected rows of numbers x, y, z"),
         ("a.csv", "1,2,3\n4,five,6\n", "expected rows of numbers x, y, z"),
-        ("a.csv", "intensity,x,y,z\n9,1,2,3\n", "column x: expected x, y, z, in m"),
+        (
+            "a.csv",
+            "intensity,x,y,z\n9,1,2,3\n",
+            "column x: expected x, y, z with commas between them, in m",
+        ),
         ("a.csv", b"\xff\xfe1,2,3", "byte 0: expected UTF-8 text"),
         ("a.csv", "nan,0,0\n", "no points"),
         ("a.csv", "1e7,0,0\n", "expected no coordinate beyond"),
