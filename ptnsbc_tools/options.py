@@ -177,7 +177,10 @@ DomainOption = Annotated[
 FlyingDomainOption = Annotated[
     int | None,
     option(
-        "--domain N", "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.", 0, LAST_DOMAIN
+        "--domain N",
+        "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID, or that of the only fleet of this host.",
+        0,
+        LAST_DOMAIN,
     ),
 ]
 

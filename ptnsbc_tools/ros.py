@@ -38,13 +38,6 @@ def select_network(network: Path | None, domain: int | None) -> None:
         os.environ["ROS_DOMAIN_ID"] = str(domain)
 
 
-def domain_number(domain: int | None) -> int:
-    """The domain of a command: that of --domain, or that of the environment."""
-    from ptnsbc_nodes.runtime.environment import named_domain
-
-    return named_domain() if domain is None else domain
-
-
 @contextmanager
 def required(advice: str = INSTALL) -> Iterator[None]:
     """Around imports of ROS packages: prepares their environment; a missing package is an error in one line."""

@@ -20,7 +20,6 @@ from ptnsbc_nodes.emergency import KILL, LAND, Order, forget_dead, release, runt
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import (
-    LAST_DOMAIN,
     FlyingDomainOption,
     FoxgloveOption,
     JsonOption,
@@ -105,7 +104,7 @@ def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> N
 
 def _answer(service: str, domain: int | None, namespace: str) -> str:
     """The answer of the leader; OrderError when no fleet with a mission is there, or it refuses."""
-    number = ros.domain_number(domain)
+    number = _flying_domain(domain)
     with _fleet_node(number, "mission", namespace) as node, console.patience(_LOOKS):
         from ptnsbc_nodes.fleet.fleet_node import LeaderClient
 
@@ -220,7 +219,7 @@ def inject(
         return
     if not block.rule.live:
         raise OrderError(f"{block.kind}: expected it under faults in the scenario")
-    number = ros.domain_number(domain)
+    number = _flying_domain(domain)
     with _fleet_node(number, "inject", namespace) as node, console.patience(_LOOKS):
         from ptnsbc_nodes.fleet.fault_injector import announce_fault
 
@@ -251,16 +250,7 @@ def view(
     scenario: Annotated[
         str | None, argument("[SCENARIO]", "What is flown. Default: as a UAV of the fleet says.")
     ] = None,
-    domain: Annotated[
-        int | None,
-        option(
-            "--domain",
-            "ROS domain that the fleet printed. Default: ROS_DOMAIN_ID, or that of the only "
-            "fleet of this host.",
-            0,
-            LAST_DOMAIN,
-        ),
-    ] = None,
+    domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",
     port: Annotated[int, option("--port", "Of the page. Default: a free one.", 0, 65535)] = 0,
     foxglove: FoxgloveOption = None,
@@ -280,7 +270,7 @@ def view(
     The page, whose address is printed, is on this host alone and wants the token of its address. Ctrl-C ends
     the view; the fleet flies on.
     """
-    number = _watched_domain(domain)
+    number = _flying_domain(domain)
     if healthy:
         raise typer.Exit(_health(number, namespace, healthy.split(",")))
     with ros.required():
@@ -309,18 +299,20 @@ def _health(domain: int, namespace: str, names: list[str]) -> int:
     return 1 if wrong else 0
 
 
-def _watched_domain(domain: int | None) -> int:
-    """The domain that is meant; OrderError when none is named, and this host flies no fleet, or several."""
-    if domain is not None or os.environ.get("ROS_DOMAIN_ID"):
-        return ros.domain_number(domain)
-    from ptnsbc_nodes.runtime.environment import flying_domains
+def _flying_domain(domain: int | None) -> int:
+    """The domain of --domain or ROS_DOMAIN_ID, else of the only fleet of this host, else 0; OrderError for several."""
+    from ptnsbc_nodes.runtime.environment import flying_domains, named_domain
 
-    flying = flying_domains()
-    if len(flying) == 1:
-        return flying[0]
-    domains = ", ".join(map(str, flying))
-    seen = f"fleets fly in the domains {domains}" if flying else "no fleet flies"
-    raise OrderError(f"on this host {seen}: expected --domain N, as `ptnsbc fleet` prints it")
+    if domain is not None:
+        return domain
+    flying = [] if os.environ.get("ROS_DOMAIN_ID") else flying_domains()
+    if len(flying) > 1:
+        domains = ", ".join(map(str, flying))
+        raise OrderError(f"fleets of this host fly in the domains {domains}: expected --domain N")
+    if not flying:
+        return named_domain()
+    console.say(f"domain {flying[0]}: the only fleet of this host")
+    return flying[0]
 
 
 def stop(
@@ -348,12 +340,12 @@ def stop(
     Repeats until every bridge has answered. The order holds: a bridge that starts again obeys it too, until a
     new `ptnsbc fleet` or --clear releases it. Prints what every vehicle does.
     """
-    number = ros.domain_number(domain)
+    number = _flying_domain(domain)
     folder = runtime_folder(number, namespace)
     if clear:
         held = release(folder)
         forget_dead(folder)
-        console.say(f"released: {held.text}" if held.what else "no order holds")
+        console.say(f"released: {held.text}" if held.what else f"no order holds in domain {number}")
         return
     from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
     from ptnsbc_nodes.runtime import environment

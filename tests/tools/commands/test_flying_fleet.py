@@ -264,7 +264,7 @@ def test_the_order_is_released(folder, capsys):
     latch(folder, Order("kill"))
     command.stop(clear=True, domain=DOMAIN)
     command.stop(clear=True, domain=DOMAIN)
-    assert capsys.readouterr().err.splitlines() == ["released: kill", "no order holds"]
+    assert capsys.readouterr().err.splitlines() == ["released: kill", "no order holds in domain 7"]
 
 
 def test_ready_waits_for_a_key(bridge, middleware, monkeypatch, capsys):
@@ -286,3 +286,20 @@ def test_ready_without_a_terminal_gives_no_order(bridge, middleware, folder, mon
         with pytest.raises(command.OrderError, match="the input has ended"):
             command.stop(kill=True, ready=True, domain=DOMAIN, patience=1.0)
     assert latched(folder) == Order()
+
+
+@pytest.mark.parametrize(("flying", "number"), [([], 0), ([3], 3)])
+def test_an_order_goes_to_the_only_fleet_of_this_host(folder, monkeypatch, capsys, flying, number):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    monkeypatch.setattr(environment, "flying_domains", lambda: flying)
+    command.stop(clear=True)
+    assert capsys.readouterr().err.splitlines()[-1] == f"no order holds in domain {number}"
+
+
+def test_an_order_asks_which_of_several_fleets_is_meant(folder, monkeypatch):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    monkeypatch.setattr(environment, "flying_domains", lambda: [3, 5])
+    with pytest.raises(command.OrderError, match="in the domains 3, 5: expected --domain N"):
+        command.stop()
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    command.stop(clear=True)
