@@ -124,7 +124,7 @@ def new(
         str, option("--shape SHAPE", "v, line, column, grid, circle or sphere.")
     ] = "v",
     n: Annotated[int, option("--n -n N", "UAVs with the leader.", 2, 254)] = 5,
-    spacing: Annotated[float, option("--spacing M", "Distance of neighbours.", 1.0)] = 2.0,
+    spacing: Annotated[float, option("--spacing M", "Distance of neighbours.", 1.0, 100.0)] = 2.0,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
 ) -> None:
     """Write a commented scenario, ready to check and fly."""
