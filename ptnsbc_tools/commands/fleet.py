@@ -185,7 +185,11 @@ def fly_and_judge(
         scenario = scenario.bridged()
     preflight(scenario, quiet=showing.json)
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
+        from ptnsbc_nodes.fleet.fleet import prepare
+
         request = parts.request(scenario)
+    with console.compiling():
+        prepare(request)  # what it refuses needs no dry run
     if request.leads and (bridged if check is None else check):
         from ptnsbc_tools.check import dry_run
 
@@ -240,11 +244,9 @@ def _viewer(request: FleetOptions, views: Views | None, json: bool) -> Viewer:
 
 
 def _fly(request: FleetOptions, viewer: Viewer) -> FleetResult:
-    from ptnsbc_nodes.fleet.fleet import prepare, run_fleet
+    from ptnsbc_nodes.fleet.fleet import run_fleet
 
     try:
-        with console.compiling():
-            prepare(request)
         with viewer.dashboard or nullcontext():
             return run_fleet(replace(request, beside=viewer.beside), viewer.say)
     finally:

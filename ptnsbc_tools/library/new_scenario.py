@@ -87,6 +87,8 @@ def new(
         OutputFileError: the file cannot be written.
     """
     given = Path(file)
+    if not given.name:
+        raise NewScenarioError(f'"{file}": expected a name, or a file NAME.yaml')
     path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")
     if path.exists() and not overwrite:
         raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")

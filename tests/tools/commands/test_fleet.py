@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.check import dry_run
@@ -197,6 +198,11 @@ def test_real_vehicles_do_not_arm_before_dry_runs(
 
     monkeypatch.setattr(dry_run, "flown", ends("dry runs"))
     monkeypatch.setattr(fleet, "_fly", ends("flown"))
+    monkeypatch.setattr("ptnsbc_nodes.fleet.fleet.load_fleet", lambda _: None)
+    monkeypatch.setattr("ptnsbc_nodes.fleet.fleet.load_world", lambda _: None)
+    scenario, parts = load_scenario("experiment_4"), fleet.Parts(backend=backend, allow_arming=True)
     with pytest.raises(EndedError, match=first):
-        parts = fleet.Parts(backend=backend)
-        fleet.fly_and_judge(load_scenario("experiment_4"), parts, Showing(json=True), check=check)
+        fleet.fly_and_judge(scenario, parts, Showing(json=True), check=check)
+    if backend == "mavlink":  # refused before anything is flown
+        with pytest.raises(PtnsbcError, match="expected --allow-arming"):
+            fleet.fly_and_judge(scenario, fleet.Parts(backend=backend), Showing(json=True))

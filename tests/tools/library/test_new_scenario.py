@@ -16,7 +16,7 @@ from ptnsbc_sim.scenario.reading.reader import parse
 from ptnsbc_sim.sweep.family import _places
 from ptnsbc_sim.sweep.plan import SweepPlan, drawn_scenario
 from ptnsbc_tools.library.flying import check
-from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, text_of
+from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, new, text_of
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -73,6 +73,12 @@ def test_the_file_flies() -> None:
 def test_what_cannot_be_made_is_refused(shape: str, n: int, spacing: float, match: str) -> None:
     with pytest.raises(NewScenarioError, match=match):
         text_of("mine", shape, n, spacing)
+
+
+@pytest.mark.parametrize("file", ["", "."])
+def test_a_folder_is_no_name(file: str) -> None:
+    with pytest.raises(NewScenarioError, match="expected a name, or a file"):
+        new(file)
 
 
 def test_a_file_gives_its_name() -> None:
