@@ -85,7 +85,7 @@ def _csv(data: bytes) -> Array:
 
 
 def contradiction(cells: Sequence[str], columns: str) -> str:
-    """What a first row of names says against the columns of a table: their order, or other units; empty: nothing."""
+    """The first name of a row that contradicts the order or the units of the columns, in words; empty without one."""
     expected = re.findall(r"\b(?:t|v?[xyz]|yaw)\b", columns)
     for place, cell in enumerate(cells):
         words = set(re.findall("[a-z]+", cell.lower()))
