@@ -156,7 +156,7 @@ class NoMiddleware:
 
     def __init__(self):
         self.vehicles, self.called = {}, []
-        self.leader = self
+        self.leader = self.status = self
 
     def __enter__(self):
         return self
