@@ -57,13 +57,9 @@ def run_half(name: str, *words: str) -> Half:
 def main() -> int:
     """The exit code: 0 where no test of either half failed."""
     kind, jobs, *words = sys.argv[1:]
-    # A file of quick tests belongs to one worker: what they share is made once, and no other worker loads its laws.
+    # A file belongs to one worker: what its tests share is made once, and no other worker loads its laws.
     by_file = ("--dist", "loadfile", "--no-loadscope-reorder")
-    one_by_one = (
-        "--maxschedchunk",
-        "1",
-    )  # a file of slow ones would keep one worker busy to the end
-    workers = () if jobs == "1" else ("-n", jobs, *(one_by_one if kind == "slow" else by_file))
+    workers = () if jobs == "1" else ("-n", jobs, *by_file)
     if words:
         halves = [run_half("in parallel", *workers, "-m", "not alone", *words)]
         halves.append(Half("in real time: left out, other words were given", 0))
