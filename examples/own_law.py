@@ -9,9 +9,9 @@ import ptnsbc
 
 OUT = Path(sys.argv[1] if sys.argv[1:] else "out/examples")
 LAWS = Path(__file__).with_name("laws")
-DRAWS = {"runs": 5, "starts": "near:0.5", "stop_after_s": 8.0, "seed": 3, "workers": 1}
+DRAWS = {"runs": 4, "starts": "near:0.5", "seed": 3, "workers": 1}
 
-ours = ptnsbc.load("paper_5_free")
+ours = ptnsbc.load("paper_5_free").with_({"timing.duration_s": 8})
 scenarios = {
     "ours": ours,
     "consensus": ours.with_(law=f"{LAWS}/consensus.py:consensus"),

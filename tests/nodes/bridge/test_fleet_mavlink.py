@@ -102,11 +102,11 @@ def test_four_vehicles_take_off_form_by_the_deadline_and_land():
 @pytest.mark.slow
 def test_four_vehicles_fly_a_figure_of_eight_in_a_v_that_turns():
     kind = "arducopter"
-    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 28.0}
+    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 24.0}
     made = load_scenario("figure_eight_4", changes).bridged()
     fleet = MavlinkFleet(made, kind, gnss="perfect")
     fleet.set_parameter("GUID_OPTIONS", 8)
-    fleet.airborne().form().run(28.6).land()
+    fleet.airborne().form().run(24.6)
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
     found = verdict_on(fleet.recording())
     assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]

@@ -61,13 +61,14 @@ def test_nothing_is_armed_for_a_flight_that_is_refused_from_where_the_vehicles_s
     tmp_path, domain
 ):
     """The file is accepted; UAV 4 stands 300 m from where the file says."""
-    path = write_scenario(tmp_path / "three.yaml", domain, duration_s=13, fleet=THREE)
-    starts = {1: (0.1, 1.1), 3: (-1, -0.1), 4: (300, 0)}
+    pair = {1: ("px4", "velocity"), 4: ("px4", "velocity")}
+    path = write_scenario(tmp_path / "two.yaml", domain, duration_s=13, fleet=pair)
+    starts = {1: (0.1, 1.1), 4: (300, 0)}
     uavs = "".join(f"  - {{id: {i}, position_m: [{x}, {y}, 1]}}\n" for i, (x, y) in starts.items())
     (tmp_path / "stand.yaml").write_text(f"extends: {path}\nuavs:\n{uavs}")
     command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming")
     with (
-        stand_ins(tmp_path / "stand.yaml", domain, count=3) as vehicles,
+        stand_ins(tmp_path / "stand.yaml", domain, count=2) as vehicles,
         flying(*command, "--bag", tmp_path / "bag", domain=domain) as fleet,
     ):
         assert fleet.finish() == 2, fleet.lines

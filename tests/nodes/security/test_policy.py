@@ -86,13 +86,10 @@ def test_the_policy_has_the_form_that_sros2_demands(scenario, backend, namespace
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes",
-    [{}, {"formation.assignment": "optimal", "formation.task": "relative_position"}],
-    ids=["fixed", "open slots"],
-)
-def test_what_the_processes_of_a_fleet_use_is_granted(ros, launch, tmp_path, changes):
-    scenario = load_scenario("paper_5", changes)
+def test_what_the_processes_of_a_fleet_use_is_granted(ros, launch, tmp_path):
+    """With open slots, by which they use all topics of a fleet with fixed ones, and more."""
+    open_slots = {"formation.assignment": "optimal", "formation.task": "relative_position"}
+    scenario = load_scenario("paper_5", open_slots)
     (tmp_path / "flown.yaml").write_text(scenario.text)
     flight = launch(
         *("--scenario", str(tmp_path / "flown.yaml"), "--duration", "60", "--processes", "2"),
