@@ -210,15 +210,15 @@ def store_outputs(
     store3(wrench, 3, outputs.torque)
     store_estimate(estimate, outputs.estimate, outputs.estimate_valid)
     store3(reported, 0, outputs.reported)
-    found = outputs.diagnostics
-    store3(diagnostics, ERROR, found.error)
-    diagnostics[GAIN], diagnostics[SINGULAR_VALUE] = found.gain, found.singular_value
-    diagnostics[ACTIVE_ROWS] = found.active_rows
-    diagnostics[SATURATED] = 1.0 if found.saturated else 0.0
-    diagnostics[HOLDING] = 1.0 if found.holding else 0.0
-    diagnostics[PRIORITY_VIOLATION] = found.priority_violation
-    diagnostics[VELOCITY_ERROR] = found.velocity_error
-    diagnostics[DEADLOCK] = 1.0 if found.deadlock else 0.0
+    figures = outputs.diagnostics
+    store3(diagnostics, ERROR, figures.error)
+    diagnostics[GAIN], diagnostics[SINGULAR_VALUE] = figures.gain, figures.singular_value
+    diagnostics[ACTIVE_ROWS] = figures.active_rows
+    diagnostics[SATURATED] = 1.0 if figures.saturated else 0.0
+    diagnostics[HOLDING] = 1.0 if figures.holding else 0.0
+    diagnostics[PRIORITY_VIOLATION] = figures.priority_violation
+    diagnostics[VELOCITY_ERROR] = figures.velocity_error
+    diagnostics[DEADLOCK] = 1.0 if figures.deadlock else 0.0
 
 
 def load_diagnostics(row: Array) -> AgentDiagnostics:

@@ -32,7 +32,7 @@ from ptnsbc_core.types import (
 )
 
 NO_DISAGREEMENT = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
-"""No disagreement."""
+"""g before its first term."""
 
 
 @inline_kernel

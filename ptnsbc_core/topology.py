@@ -36,17 +36,24 @@ def validated_topology(
 
     Args:
         leader: id of the leader.
-        uavs: all ids, the leader among them.
-        tree: child to parent.
+        uavs: all ids, each once, the leader among them.
+        tree: child to parent, of these ids.
         leader_links: followers that receive the leader's state.
         estimator_edges: undirected edges between followers over which leader estimates travel.
 
     Raises:
-        TopologyError: duplicate or unknown ids, a cycle, a UAV without a path to the leader.
+        TopologyError: a cycle, a UAV without a path to the leader or to its state, a link of no follower.
     """
-    _check_ids(leader, uavs, tree, leader_links)
-    depth = {uav: _depth(uav, leader, tree) for uav in uavs}
     followers = sorted(uav for uav in uavs if uav != leader)
+    if leader in tree:
+        raise TopologyError(
+            f"communication.tree.{leader}: the leader has parent {tree[leader]}: it is the root, drop the entry"
+        )
+    if odd := set(leader_links).difference(followers):
+        raise TopologyError(
+            f"communication.leader_links: {min(odd)} is no follower: expected ids out of {followers}"
+        )
+    depth = {uav: _depth(uav, leader, tree) for uav in uavs}
     pinned = frozenset(leader_links)
     neighbours = _neighbours(followers, estimator_edges)
     _check_reach(followers, pinned, neighbours)
@@ -77,32 +84,6 @@ def estimator_matrix(
         for other in neighbours[uav]:
             matrix[row, index[other]] = -1.0
     return matrix
-
-
-def _check_ids(
-    leader: int, uavs: Sequence[int], tree: Mapping[int, int], leader_links: Sequence[int]
-) -> None:
-    known = set(uavs)
-    if len(known) != len(uavs):
-        twice = sorted({uav for uav in uavs if list(uavs).count(uav) > 1})
-        raise TopologyError(f"uavs: id {twice[0]} stands twice: give every UAV its own id")
-    if leader not in known:
-        raise TopologyError(f"leader.id: {leader} is none of the UAVs {sorted(known)}")
-    if leader in tree:
-        raise TopologyError(
-            f"communication.tree.{leader}: the leader has parent {tree[leader]}: it is the root, drop the entry"
-        )
-    for child, parent in tree.items():
-        for uav in (child, parent):
-            if uav not in known:
-                raise TopologyError(
-                    f"communication.tree.{child}: {uav} is none of the UAVs {sorted(known)}"
-                )
-    for uav in leader_links:
-        if uav not in known or uav == leader:
-            raise TopologyError(
-                f"communication.leader_links: {uav} is no follower: expected ids out of {sorted(known - {leader})}"
-            )
 
 
 def _depth(uav: int, leader: int, tree: Mapping[int, int]) -> int:

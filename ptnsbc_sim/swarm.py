@@ -14,27 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import kernel, kernel_list, referred
-from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
-from ptnsbc_sim.disturbances.build import (
-    Disturbances,
-    flight_disturbances,
-    sensor_noise_samples,
-)
+from ptnsbc_sim.disturbances.build import Disturbances, VehicleDisturbances, flight_disturbances
 from ptnsbc_sim.disturbances.links import last_received_by
-from ptnsbc_sim.disturbances.noise import (
-    add_sensor_noise,
-    initial_error,
-    measured_odometry,
-    sensor_noise_of,
-)
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
 from ptnsbc_sim.plugins.loop import PluginLoop
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.tick import Loop, SwarmState, advance_all, sense, step_all
 from ptnsbc_sim.track import FlightTrack, track_of
@@ -71,14 +61,10 @@ class HeadlessFlight(NamedTuple):
 
     def near(self, tick: int, row: int) -> Array:
         """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
-        truth, obstacles = self.truth[tick], obstacles_at(self.swarm.wiring, tick)
-        keep_outs = self.swarm.wiring.keep_outs
-        rows = WorldPlugins(self.scenario).near(row, tick, truth, obstacles, keep_outs)
-        if not len(self.track.truth):
-            return rows
-        samples = sensor_noise_samples(self.scenario, self.scenario.uav_ids[row], tick)
-        seen = self.track.odometry[tick, row]
-        return add_sensor_noise(rows, truth[row], seen, samples, sensor_noise_of(self.scenario))
+        obstacles, keep_outs = obstacles_at(self.swarm.wiring, tick), self.swarm.wiring.keep_outs
+        seen = self.track.odometry[tick, row] if len(self.track.truth) else None
+        sensors = WorldPlugins(self.scenario)
+        return sensors.near(row, tick, self.truth[tick], seen, obstacles, keep_outs)
 
 
 @kernel
@@ -91,20 +77,6 @@ def _fly(first: int, count: int, swarm: SwarmState, disturbances: Disturbances |
         sense(swarm, tick, disturbances)
         step_all(tick, swarm, None, None, disturbances)
         advance_all(tick, swarm, disturbances)
-
-
-def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> Array:
-    """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
-    if disturbances is None:
-        return truth
-    kind = disturbances.position_noise
-    rows = [
-        measured_odometry(
-            own, own, own, initial_error(kind), disturbances.position_samples[0, row], 0, dt, kind
-        )
-        for row, own in enumerate(truth)
-    ]
-    return np.stack(rows)
 
 
 def swarm_of(
@@ -127,7 +99,11 @@ def swarm_of(
     else:
         plants = like.plants
     bodies = start_states(scenario, plants)
-    seen = _first_seen(measure_all(bodies, plants), seconds(wiring.dt_ns), disturbances)
+    seen = measure_all(bodies, plants)
+    if disturbances is not None:
+        vehicles = (VehicleDisturbances(scenario, uav_id, np.zeros(3)) for uav_id in ids)
+        pairs = zip(vehicles, seen, strict=True)
+        seen = np.stack([around.measured_odometry(0, truth) for around, truth in pairs])
     size, objects = len(ids), len(ids) + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(
@@ -185,7 +161,7 @@ def fly(
         scenario: what to fly.
         progress: called with (ticks done, ticks in all) now and then.
         room: an earlier flight, whose track is overwritten where it fits; constants of its UAVs are used again
-            where only the starts differ.
+            where only the starts differ, and their approach turns as theirs does.
 
     Returns:
         The whole flight; the same scenario gives the same bytes.
@@ -204,6 +180,8 @@ def flown(
     slots = slots_at_start(scenario)
     held = with_slots(scenario, slots) if slots else scenario
     like = room if room is not None and held.shares_all_but_starts(room.flown) else None
+    if like is not None and turn_of(held) != like.swarm.configs[0].turn:
+        like = None  # the one constant that follows from the starts
     if held.formation.reconfigures:
         like = None  # what a UAV has in common with others changes in flight
     wiring = wiring_of(held) if like is None else like.swarm.wiring

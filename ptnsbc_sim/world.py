@@ -66,8 +66,8 @@ class World:
         self._plants = kernel_list(plants)
         self._built = plants  # without a call of a kernel, which would load it in flight
         self._states = start_states(scenario, self._plants)
-        self._ticks = dict.fromkeys(self.ids, 0)
-        self._slowest = 0
+        self.ticks = dict.fromkeys(self.ids, 0)
+        """Control periods that each vehicle has behind it."""
         self._dt_ns = scenario.timing.dt_ns
         self._obstacles = obstacle_rows(scenario, np.zeros(1))[0]
         self._keep_outs = keep_outs_of(scenario)
@@ -94,12 +94,12 @@ class World:
     @property
     def tick(self) -> int:
         """Control periods that every vehicle has behind it."""
-        return self._slowest
+        return min(self.ticks.values())
 
     @property
     def t_ns(self) -> int:
         """Simulated time [ns]."""
-        return self._slowest * self._dt_ns
+        return self.tick * self._dt_ns
 
     def odometry(self, uav_id: int) -> Array:
         """Odometry vector (13,) that one UAV sees of itself now."""
@@ -122,13 +122,10 @@ class World:
 
     def near(self, uav_id: int) -> Array:
         """Rows (M, 7) that the near-object sensor of one UAV sees now."""
-        row, tick = self._row[uav_id], self._ticks[uav_id]
+        row, tick = self._row[uav_id], self.ticks[uav_id]
+        seen = self._odometry[row] if self._around else None
         obstacles = self._obstacles_now(tick)
-        rows = self._plugins.near(row, tick, self._truth, obstacles, self._keep_outs)
-        if not self._around:
-            return rows
-        seen = self._odometry[row]
-        return self._around[row].add_sensor_noise(tick, rows, self._truth[row], seen)
+        return self._plugins.near(row, tick, self._truth, seen, obstacles, self._keep_outs)
 
     def with_late_setpoint(self, uav_id: int, wrench: Array) -> Array:
         """The wrench (6,) of a vehicle whose setpoint is late: its inner loop keeps the attitude."""
@@ -143,7 +140,7 @@ class World:
 
     def step_one(self, uav_id: int, wrench: Array | None) -> None:
         """Advance one vehicle by one control period: they meet nowhere but in the sensor and on the wire."""
-        row, tick = self._row[uav_id], self._ticks[uav_id]
+        row, tick = self._row[uav_id], self.ticks[uav_id]
         if self._around:
             self._around[row].gust_step(tick)
         plugins = self._plugins
@@ -166,6 +163,4 @@ class World:
             )
         if self._around:
             self._odometry[row] = self._around[row].measured_odometry(tick + 1, self._truth[row])
-        self._ticks[uav_id] = tick + 1
-        if tick == self._slowest:
-            self._slowest = min(self._ticks.values())
+        self.ticks[uav_id] = tick + 1

@@ -83,17 +83,17 @@ def formation(
     epoch: EpochErrors,
     clock: Clock,
     config: AgentConfig,
-    given: TaskGeometry | None,
+    user_task: TaskGeometry | None,
 ) -> Behaviour:
     """Velocity of a follower for its formation task; the reference k of the task is the leader plus the anchor.
 
-    `given` is the task of the user where there is one, evaluated at the same positions.
+    `user_task` is the task of the user where there is one, evaluated at the same positions.
     """
-    if given is None:
+    if user_task is None:
         reference = add3(leader.position, config.anchor)
         geometry = evaluate(config.task, position, parent.position, reference)
     else:
-        geometry = given
+        geometry = user_task
     slot, offset, desired = config.slot, config.offset, config.desired
     if config.shape.moving:
         duration = plan_duration(config.formation)

@@ -109,7 +109,7 @@ def hold_target(state: AgentState, inputs: AgentInputs, holding: bool) -> PoseTa
 
 @inline_kernel
 def hold_velocity(position: Vector3, target: Vector3, config: AgentConfig) -> Vector3:
-    """Velocity [m/s, ENU] that holds a position, at most half of the speed limit."""
+    """v = k (p_hold - p), |v| at most half of the speed limit  (3,) [m/s, ENU]."""
     return limit_norm(
         scale3(config.hold_gain, sub3(target, position)), 0.5 * config.filter.max_speed
     )

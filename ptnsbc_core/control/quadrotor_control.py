@@ -125,8 +125,9 @@ def _axis_rate(
 
 @inline_kernel
 def rate_reference(error: Vector3, max_rate: float, config: ControllerConfig) -> Vector3:
-    """Body rates [rad/s] for an attitude error [rad], never faster than the torques can brake.
+    """w_r = min(gain |e|, sqrt(2 b |e|), max_rate) sign(e) [rad/s] of each axis, e [rad] the attitude error.
 
+    b [rad/s^2] is the braking that a fraction of the largest torque gives: no rate is faster than it can be braked.
     After a large error a proportional law alone asks for a rate that the limited torque cannot stop in time. A
     vehicle that starts with a tilt of 1 rad then oscillates for ever.
     """

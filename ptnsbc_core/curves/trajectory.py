@@ -143,9 +143,9 @@ def _state_by_table(trajectory: Trajectory, t: float) -> CurveState:
             turn = polynomial(table, row, 3, since)
             yaw = Heading(turn.value, turn.first, turn.second)
     else:
-        one, two, three = _harmonic(table, 0, t), _harmonic(table, 1, t), _harmonic(table, 2, t)
-        position, velocity = (one[0], two[0], three[0]), (one[1], two[1], three[1])
-        acceleration, jerk = (one[2], two[2], three[2]), (one[3], two[3], three[3])
+        east, north, up = _harmonic(table, 0, t), _harmonic(table, 1, t), _harmonic(table, 2, t)
+        position, velocity = (east[0], north[0], up[0]), (east[1], north[1], up[1])
+        acceleration, jerk = (east[2], north[2], up[2]), (east[3], north[3], up[3])
     if int(numbers[1]) == HEADING_PATH:
         yaw = _along(velocity, acceleration, jerk, numbers[7])
     return CurveState(position, velocity, acceleration, jerk, yaw)

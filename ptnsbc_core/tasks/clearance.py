@@ -130,8 +130,8 @@ def _unconstrained(
     if any_used(view.memory):
         return False
     for m in range(view.near.shape[0]):
-        one = constraint(position, m, view, True, config)
-        if one.bound > dot3(one.normal, velocity):
+        row = constraint(position, m, view, True, config)
+        if row.bound > dot3(row.normal, velocity):
             return False
     return True
 

@@ -368,8 +368,8 @@ def constraints(
     bound = np.empty(count)
     depth = np.empty(count)
     for m in range(count):
-        one = constraint(position, m, view, False, config)
-        store3(normals[m], 0, one.normal)
-        bound[m] = one.bound
-        depth[m] = one.depth
+        row = constraint(position, m, view, False, config)
+        store3(normals[m], 0, row.normal)
+        bound[m] = row.bound
+        depth[m] = row.depth
     return ClearanceConstraints(normals, bound, depth)

@@ -107,28 +107,28 @@ def signed_distance(place: Vector3Like, body: Array) -> SignedDistance:
     away = sub3(place, load3(body, 0))
     if kind == BODY_SPHERE:
         return sphere_distance(away, 0.0)
-    one, two, three = load3(body, axes), load3(body, axes + 3), load3(body, axes + 6)
-    # what the axes of the body see: the transpose of the rotation times the way from its centre
+    x, y, z = load3(body, axes), load3(body, axes + 3), load3(body, axes + 6)
+    # in the axes of the body: the transpose of the rotation times the way from its centre
     local = (
-        one[0] * away[0] + two[0] * away[1] + three[0] * away[2],
-        one[1] * away[0] + two[1] * away[1] + three[1] * away[2],
-        one[2] * away[0] + two[2] * away[1] + three[2] * away[2],
+        x[0] * away[0] + y[0] * away[1] + z[0] * away[2],
+        x[1] * away[0] + y[1] * away[1] + z[1] * away[2],
+        x[2] * away[0] + y[2] * away[1] + z[2] * away[2],
     )
     if kind == BODY_BOX:
-        found = box_distance(local, load3(body, SIZE))
+        nearest = box_distance(local, load3(body, SIZE))
     elif kind == BODY_CYLINDER:
-        found = cylinder_distance(local, body[SIZE], body[SIZE + 1])
+        nearest = cylinder_distance(local, body[SIZE], body[SIZE + 1])
     elif kind == BODY_PLANE:
-        found = SignedDistance(abs(local[2]), (0.0, 0.0, _signed(local[2])))
+        nearest = SignedDistance(abs(local[2]), (0.0, 0.0, _signed(local[2])))
     else:
-        found = SignedDistance(local[2], (0.0, 0.0, 1.0))
-    g = found.gradient
+        nearest = SignedDistance(local[2], (0.0, 0.0, 1.0))
+    g = nearest.gradient
     gradient = (
-        one[0] * g[0] + one[1] * g[1] + one[2] * g[2],
-        two[0] * g[0] + two[1] * g[1] + two[2] * g[2],
-        three[0] * g[0] + three[1] * g[1] + three[2] * g[2],
+        x[0] * g[0] + x[1] * g[1] + x[2] * g[2],
+        y[0] * g[0] + y[1] * g[1] + y[2] * g[2],
+        z[0] * g[0] + z[1] * g[1] + z[2] * g[2],
     )
-    return SignedDistance(found.distance, gradient)
+    return SignedDistance(nearest.distance, gradient)
 
 
 @kernel
@@ -141,6 +141,6 @@ def signed_distances(places: Array, body: Array) -> Array:
 
 
 @inline_kernel
-def tangent_centre(place: Vector3Like, found: SignedDistance) -> Vector3:
+def tangent_centre(place: Vector3Like, nearest: SignedDistance) -> Vector3:
     """Centre of the sphere of TANGENT_RADIUS_M that touches a body at the point of its surface nearest to `place`."""
-    return axpy(-(found.distance + TANGENT_RADIUS_M), found.gradient, place)
+    return axpy(-(nearest.distance + TANGENT_RADIUS_M), nearest.gradient, place)

@@ -11,7 +11,7 @@ The result is the same, bit for bit.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -156,24 +156,19 @@ class RealTimeWorld:
 
 
 class LockstepScheduler:
-    """The tick of each vehicle, and which vehicles may publish their next state.
+    """Which vehicles may publish their next state.
 
     Args:
-        uav_ids: all vehicles.
+        ticks: of the state of each vehicle; the world counts them.
         end: the tick at which the flight is over; its state is not published.
         meetings: periods [ticks] at whose multiples all vehicles meet.
     """
 
-    def __init__(self, uav_ids: Iterable[int], end: int, meetings: Sequence[int]) -> None:
-        self._at = dict.fromkeys(uav_ids, 0)
-        self._unpublished = list(self._at)
-        self.slowest = 0  # the tick that every vehicle has reached
+    def __init__(self, ticks: Mapping[int, int], end: int, meetings: Sequence[int]) -> None:
+        self._ticks = ticks
+        self._unpublished = list(ticks)
         self._end = end
         self._meetings = tuple(meetings)
-
-    def at(self, uav_id: int) -> int:
-        """The tick of one vehicle's state."""
-        return self._at[uav_id]
 
     def awaited(self, uav_id: int) -> bool:
         """True if the state of this UAV is published and its wrench is not here yet."""
@@ -183,22 +178,19 @@ class LockstepScheduler:
         """The state of this UAV is published."""
         self._unpublished.remove(uav_id)
 
-    def step(self, uav_id: int) -> None:
-        """The vehicle has moved on by one tick."""
-        tick = self._at[uav_id]
-        self._at[uav_id] = tick + 1
+    def mark_moved(self, uav_id: int) -> None:
+        """The vehicle has moved on by one tick: it has a state that nobody knows."""
         self._unpublished.append(uav_id)
-        if tick == self.slowest:
-            self.slowest = min(self._at.values())
 
     def due(self) -> list[int]:
         """UAVs whose state may be published now, in the order in which they became ready."""
-        return [i for i in self._unpublished if self._may_go(self._at[i])]
+        slowest = min(self._ticks.values())
+        return [i for i in self._unpublished if self._may_go(self._ticks[i], slowest)]
 
-    def _may_go(self, tick: int) -> bool:
+    def _may_go(self, tick: int, slowest: int) -> bool:
         if any(tick % period == 0 for period in self._meetings):
-            return tick == self.slowest  # no vehicle passes a meeting before the last one arrives
-        return tick < self._end and tick <= self.slowest + LEAD_TICKS
+            return tick == slowest  # no vehicle passes a meeting before the last one arrives
+        return tick < self._end and tick <= slowest + LEAD_TICKS
 
 
 def recorder_lead_ns(scenario: Scenario) -> int:
@@ -370,7 +362,7 @@ class LockstepSim(SimNode):
         super().__init__(node, scenario, edges, on_end)
         self._dt_ns, self._status_every = scenario.timing.dt_ns, status_every(scenario)
         self._scheduler = LockstepScheduler(
-            self._world.ids, scenario.timing.ticks, (scenario.near_every, self._status_every)
+            self._world.ticks, scenario.timing.ticks, (scenario.near_every, self._status_every)
         )
         self._lost: set[int] = set()
         silent = gone(scenario, ("restart",))
@@ -386,8 +378,8 @@ class LockstepSim(SimNode):
             listen(RECORDED, self._decode_recorded, self._on_recorded)
 
     def _on_wrench(self, uav_id: int, wrench: Stamped) -> None:
-        scheduler = self._scheduler
-        if scheduler.awaited(uav_id) and wrench.stamp_ns == scheduler.at(uav_id) * self._dt_ns:
+        tick = self._world.ticks[uav_id]
+        if self._scheduler.awaited(uav_id) and wrench.stamp_ns == tick * self._dt_ns:
             self._step(uav_id, wrench.values)
             self._wrenches += 1
             self._advance()
@@ -449,16 +441,16 @@ class LockstepSim(SimNode):
 
     def _publish(self, due: Sequence[int]) -> None:
         """Publish the states of these UAVs; at the tick of a status they are all, and markers and status follow."""
-        scheduler, tick = self._scheduler, 0
+        ticks, tick = self._world.ticks, 0
         for i in due:
-            tick = scheduler.at(i)
+            tick = ticks[i]
             self._publishers.vehicle(i, tick, tick * self._dt_ns)
-            scheduler.mark_published(i)
+            self._scheduler.mark_published(i)
         together = tick % self._status_every == 0
         if together:
             self._publishers.markers(tick * self._dt_ns)
         for i in due:
-            if i in self._lost or self._silent[i][scheduler.at(i)]:
+            if i in self._lost or self._silent[i][ticks[i]]:
                 self._step(i, None)
         if together:
             self._report(tick * self._dt_ns, [])
@@ -466,7 +458,7 @@ class LockstepSim(SimNode):
 
     def _step(self, uav_id: int, wrench: Array | None) -> None:
         self._world.step_one(uav_id, wrench)
-        self._scheduler.step(uav_id)
+        self._scheduler.mark_moved(uav_id)
 
     def _on_status_timer(self) -> None:
         if self._running:
@@ -481,8 +473,9 @@ class LockstepSim(SimNode):
         if self._paused:
             return [RECORDER]
         awaited = [i for i in self._world.ids if self._scheduler.awaited(i)]
-        first = min(map(self._scheduler.at, awaited), default=0)
-        return [f"uav{i}" for i in awaited if self._scheduler.at(i) == first]
+        ticks = self._world.ticks
+        first = min((ticks[i] for i in awaited), default=0)
+        return [f"uav{i}" for i in awaited if ticks[i] == first]
 
 
 def sim_node(

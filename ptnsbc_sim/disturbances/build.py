@@ -20,7 +20,6 @@ from ptnsbc_sim.disturbances.noise import (
     Gusts,
     PositionNoise,
     SensorNoise,
-    add_sensor_noise,
     gust_step,
     gusts_of,
     initial_error,
@@ -90,7 +89,6 @@ class VehicleDisturbances:
 
     def __init__(self, scenario: Scenario, uav_id: int, wind_m_s: Array) -> None:
         """`wind_m_s` (3,) is the wind of its plant, changed in place."""
-        self._scenario, self._uav = scenario, uav_id
         self._position_noise = position_noise_of(scenario)
         self._gusts = gusts_of(scenario)
         self._position_address = (scenario.seed, random_streams.POSITION, uav_id)
@@ -121,8 +119,3 @@ class VehicleDisturbances:
         )
         add_jumps(measured, tick - self.mission_tick, self._row, self._jumps)
         return measured
-
-    def add_sensor_noise(self, tick: int, near: Array, truth: Array, measured: Array) -> Array:
-        """Measured near objects (M, 7), from the true ones and the true and measured odometry (13,)."""
-        samples = sensor_noise_samples(self._scenario, self._uav, tick)
-        return add_sensor_noise(near, truth, measured, samples, sensor_noise_of(self._scenario))

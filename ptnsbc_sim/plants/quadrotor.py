@@ -1,4 +1,4 @@
-"""Plant `quadrotor`: one thrust along body z and load3 torques through motors with lag and limits.
+"""Plant `quadrotor`: one thrust along body z and three torques through motors with lag and limits.
 
 State (17,): position [m, ENU] 0:3, quaternion x y z w 3:7, velocity [m/s, ENU] 7:10, body rates [rad/s]
 10:13, actual thrust [N] 13, actual torques [N m] 14:17. Drag is linear in the air speed, so wind pushes.

@@ -14,7 +14,6 @@ from ptnsbc_core.tasks.formation_tasks import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.links import last_state_received
-from ptnsbc_sim.disturbances.noise import add_sensor_noise
 from ptnsbc_sim.plugins.formation_task import PluginTask
 from ptnsbc_sim.plugins.uav_plugins import Heard, UavLaw, UavPlugins
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
@@ -50,11 +49,6 @@ def _task_points(tick: int, swarm: SwarmState, disturbances: Disturbances | None
             store3(out[row], 6, points.reference)
             out[row, _HEARD] = 1.0 if points.heard else 0.0
     return out
-
-
-@kernel
-def _flies(tick: int, row: int, swarm: SwarmState, disturbances: Disturbances | None) -> bool:
-    return blown(swarm, tick, row, disturbances)
 
 
 class PluginLoop:
@@ -108,12 +102,10 @@ class PluginLoop:
         if self._world.sensor is None or tick % wiring.near_every:
             return
         truth = track.odometry[tick] if disturbances is None else track.truth[tick]
+        obstacles = obstacles_at(wiring, tick)
         for row in range(len(self._ids)):
-            near = self._world.near(row, tick, truth, obstacles_at(wiring, tick), wiring.keep_outs)
-            if disturbances is not None:
-                samples = disturbances.sensor_samples[tick // wiring.near_every, row]
-                seen, noise = track.odometry[tick, row], disturbances.sensor_noise
-                near = add_sensor_noise(near, truth[row], seen, samples, noise)
+            seen = None if disturbances is None else track.odometry[tick, row]
+            near = self._world.near(row, tick, truth, seen, obstacles, wiring.keep_outs)
             swarm.near[row, : len(near)] = near
             swarm.near_count[row] = len(near)
 
@@ -156,7 +148,7 @@ class PluginLoop:
             advance_all(tick, swarm, disturbances)
             return
         for row in range(len(self._ids)):
-            if _flies(tick, row, swarm, disturbances):
+            if blown(swarm, tick, row, disturbances):
                 wrench, plant = track.wrench[tick, row], swarm.plants[row]
                 world.advance(swarm.bodies[row], wrench, tick, plant)
 

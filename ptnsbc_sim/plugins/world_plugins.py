@@ -14,10 +14,12 @@ import numpy as np
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import NEAR_COLUMNS, Array
 from ptnsbc_sim.disturbances import random_streams
+from ptnsbc_sim.disturbances.build import sensor_noise_samples
+from ptnsbc_sim.disturbances.noise import add_sensor_noise, sensor_noise_of
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.plants.contract import PlantConfig, Six, six
 from ptnsbc_sim.plugins.hooks import SAMPLES, DisturbanceInputs, PlantInputs, SensorInputs
-from ptnsbc_sim.plugins.loader import load_plugin
+from ptnsbc_sim.plugins.loader import Plugin, load_plugin
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 
@@ -111,24 +113,43 @@ class WorldPlugins:
         )
         return np.array(self.plant.numbers(inputs, at=f"t = {t:.4f} s"))
 
-    def near(self, row: int, tick: int, truth: Array, obstacles: Array, keep_outs: Array) -> Array:
+    def near(
+        self,
+        row: int,
+        tick: int,
+        truth: Array,
+        seen: Array | None,
+        obstacles: Array,
+        keep_outs: Array,
+    ) -> Array:
         """Rows (K, 7) that the sensor of UAV number `row` gives, ours or the one that is plugged in.
 
-        They are rounded to float32.
+        They are rounded to float32, and with `seen`, the odometry (13,) that the UAV measures, they have the errors of
+        sensor and position.
 
         `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N,) are as in `near_objects`.
 
         Raises:
             PluginError: the function raised an error, or gave no such rows.
         """
-        scenario, t = self._scenario, self._seconds(tick)
-        range_m, uav = float(scenario.sensor.range_m), scenario.uav_ids[row]
+        scenario = self._scenario
         if self.sensor is None:
-            return near_objects(row, truth, obstacles, keep_outs, range_m)
-        objects = near_objects(row, truth, obstacles, keep_outs, math.inf)
+            range_m = float(scenario.sensor.range_m)
+            rows = near_objects(row, truth, obstacles, keep_outs, range_m)
+        else:
+            objects = near_objects(row, truth, obstacles, keep_outs, math.inf)
+            rows = self._sensed(self.sensor, scenario.uav_ids[row], tick, truth[row], objects)
+        if seen is None:
+            return rows
+        samples = sensor_noise_samples(scenario, scenario.uav_ids[row], tick)
+        return add_sensor_noise(rows, truth[row], seen, samples, sensor_noise_of(scenario))
+
+    def _sensed(self, sensor: Plugin, uav: int, tick: int, truth: Array, objects: Array) -> Array:
+        """Rows (K, 7) that the sensor of the user gives of all objects (M, 7)."""
+        scenario, t = self._scenario, self._seconds(tick)
         samples = self._samples(uav, 2 * (tick // scenario.near_every) + 1)
-        inputs = SensorInputs(t, uav, np.array(truth[row]), objects, range_m, samples)
-        seen = self.sensor.result(inputs)
+        range_m = float(scenario.sensor.range_m)
+        seen = sensor.result(SensorInputs(t, uav, np.array(truth), objects, range_m, samples))
         try:
             rows = np.asarray(seen, dtype=np.float32).astype(np.float64)
         except (TypeError, ValueError):
@@ -137,7 +158,7 @@ class WorldPlugins:
             rows = np.zeros((0, NEAR_COLUMNS))
         fits = rows.ndim == 2 and rows.shape[1] == NEAR_COLUMNS and len(rows) <= len(objects)
         if not fits or not np.isfinite(rows).all():
-            raise self.sensor.refusal(
-                seen, f"expected at most {len(objects)} {self.sensor.hook.gives}, at t = {t:.3f} s"
+            raise sensor.refusal(
+                seen, f"expected at most {len(objects)} {sensor.hook.gives}, at t = {t:.3f} s"
             )
         return np.ascontiguousarray(rows)

@@ -261,8 +261,9 @@ def test_progress_is_told_to_the_end() -> None:
         ({}, True),
         ({"world.gust_m_s": [0.8, 0.8, 0.3], "world.wind_m_s": [1.0, 0.0, 0.0]}, True),
         ({"formation.assignment": "optimal"}, False),
+        ({"world.obstacles": [], "gains.formation.deadline_s": 8.0}, True),
     ],
-    ids=["calm", "gusts", "slots"],
+    ids=["calm", "gusts", "slots", "turns"],
 )
 def test_a_flight_in_the_room_of_another_one_has_the_same_bytes(
     changes: dict, shared: bool

@@ -99,12 +99,10 @@ def distances(pairs: Pairs, turn: float) -> Array:
     """Least planned distance (P,) [m] of every pair."""
     ends = pairs.places[:, 0] + 1j * pairs.places[:, 1]
     errors = pairs.errors[:, 0] + 1j * pairs.errors[:, 1]
-    least = np.full(len(ends), np.inf)
-    for factor in _left(turn, _SAMPLES):
-        flat = np.abs(ends - factor * errors)
-        up = pairs.places[:, 2] - abs(factor) * pairs.errors[:, 2]
-        least = np.minimum(least, np.hypot(flat, up))
-    return least
+    factors = _left(turn, _SAMPLES)[:, None]
+    up = pairs.places[:, 2] - np.abs(factors) * pairs.errors[:, 2]
+    apart: Array = np.hypot(np.abs(ends - factors * errors), up)
+    return apart.min(axis=0)
 
 
 def candidates(pairs: Pairs) -> tuple[float, ...]:

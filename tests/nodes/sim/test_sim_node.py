@@ -1,6 +1,7 @@
 """The sim node, with the UAVs played by the test; how vehicles step, and what a wrench that is late does to them."""
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -318,34 +319,44 @@ def test_the_world_of_a_fleet_that_fills_the_cores_is_never_late(monkeypatch, ar
 IDS = (1, 2, 3)
 
 
-def publish_all(scheduler: LockstepScheduler) -> list[int]:
-    due = scheduler.due()
-    for i in due:
-        scheduler.mark_published(i)
-    return due
+class Vehicles(LockstepScheduler):
+    """The scheduler with vehicles that do nothing but count."""
+
+    def __init__(self, end: int, meetings: Sequence[int]) -> None:
+        self.ticks = dict.fromkeys(IDS, 0)
+        super().__init__(self.ticks, end, meetings)
+
+    def step(self, uav: int) -> None:
+        self.ticks[uav] += 1
+        self.mark_moved(uav)
+
+    def publish_all(self) -> list[int]:
+        due = self.due()
+        for i in due:
+            self.mark_published(i)
+        return due
 
 
 def test_one_vehicle_need_not_wait_for_another():
-    scheduler = LockstepScheduler(IDS, 9, (5,))
-    assert publish_all(scheduler) == [1, 2, 3]
-    assert scheduler.due() == []
-    scheduler.step(2)
-    assert publish_all(scheduler) == [2]
-    assert (scheduler.at(2), scheduler.slowest) == (1, 0)
-    assert scheduler.awaited(2)
+    vehicles = Vehicles(9, (5,))
+    assert vehicles.publish_all() == [1, 2, 3]
+    assert vehicles.due() == []
+    vehicles.step(2)
+    assert vehicles.publish_all() == [2]
+    assert vehicles.awaited(2)
 
 
 def test_all_wait_at_a_meeting():
-    scheduler = LockstepScheduler(IDS, 9, (2, 3))
+    vehicles = Vehicles(9, (2, 3))
     for _ in range(2):
-        publish_all(scheduler)
-        scheduler.step(1)
-    assert (scheduler.at(1), publish_all(scheduler)) == (2, [])
+        vehicles.publish_all()
+        vehicles.step(1)
+    assert (vehicles.ticks[1], vehicles.publish_all()) == (2, [])
     for i in (2, 3):
-        scheduler.step(i)
-        publish_all(scheduler)
-        scheduler.step(i)
-    assert sorted(publish_all(scheduler)) == [1, 2, 3]
+        vehicles.step(i)
+        vehicles.publish_all()
+        vehicles.step(i)
+    assert sorted(vehicles.publish_all()) == [1, 2, 3]
 
 
 @given(
@@ -353,26 +364,27 @@ def test_all_wait_at_a_meeting():
     st.lists(st.integers(1, 9), min_size=0, max_size=2),
 )
 def test_any_order_of_answers(answers: list[int], meetings: list[int]):
-    scheduler = LockstepScheduler(IDS, 1000, meetings)
+    vehicles = Vehicles(1000, meetings)
+    ticks = vehicles.ticks
     for uav in answers:
-        for i in publish_all(scheduler):
-            assert scheduler.at(i) - scheduler.slowest <= LEAD_TICKS
-            if any(scheduler.at(i) % period == 0 for period in meetings):
-                assert {scheduler.at(j) for j in IDS} == {scheduler.at(i)}
-        assert any(scheduler.awaited(i) for i in IDS)  # some UAV can always answer
-        if scheduler.awaited(uav):
-            scheduler.step(uav)
-    publish_all(scheduler)
-    assert scheduler.awaited(min(IDS, key=scheduler.at))  # and the slowest is never kept waiting
+        for i in vehicles.publish_all():
+            assert ticks[i] - min(ticks.values()) <= LEAD_TICKS
+            if any(ticks[i] % period == 0 for period in meetings):
+                assert set(ticks.values()) == {ticks[i]}
+        assert any(vehicles.awaited(i) for i in IDS)  # some UAV can always answer
+        if vehicles.awaited(uav):
+            vehicles.step(uav)
+    vehicles.publish_all()
+    assert vehicles.awaited(min(IDS, key=ticks.__getitem__))  # the slowest is never kept waiting
 
 
 def test_the_state_at_the_end_is_not_published():
-    scheduler = LockstepScheduler(IDS, 2, ())
+    vehicles = Vehicles(2, ())
     for _ in range(2):
-        for i in publish_all(scheduler):
-            scheduler.step(i)
-    assert scheduler.slowest == 2
-    assert scheduler.due() == []
+        for i in vehicles.publish_all():
+            vehicles.step(i)
+    assert set(vehicles.ticks.values()) == {2}
+    assert vehicles.due() == []
 
 
 STALLED = 12  # control periods of 10 ms
