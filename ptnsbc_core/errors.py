@@ -17,7 +17,3 @@ class TopologyError(PtnsbcError):
 
 class FormationError(PtnsbcError):
     """A desired formation that a task cannot hold (singular, too close, degenerate)."""
-
-
-class AttitudeError(PtnsbcError):
-    """An attitude at which Euler kinematics are singular."""

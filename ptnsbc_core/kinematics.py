@@ -7,12 +7,8 @@ import math
 import numpy as np
 
 from ptnsbc_core.algebra import axpy, load3, matvec, matvec_transposed, norm3, scale3, store3
-from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.types import Array, Estimate, Matrix3, OdometryLike, Vector3, Vector3Like
-
-SINGULAR_COSINE = 1e-6
-"""|cos(pitch)| below which Euler rates are refused."""
 
 
 @kernel
@@ -76,7 +72,7 @@ def euler_from_rotation(r: Array | Matrix3) -> Vector3:
 
 @formula
 def euler_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
-    """(3), (4): Euler angle rates [rad/s] = W(euler) body rates. Infinite at cos(pitch) = 0, see `checked_pitch`."""
+    """(3), (4): Euler angle rates [rad/s] = W(euler) body rates. Infinite at cos(pitch) = 0."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     ct, tt = math.cos(euler[1]), math.tan(euler[1])
     return (
@@ -96,20 +92,6 @@ def body_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
         cf * rates[1] + sf * ct * rates[2],
         -sf * rates[1] + cf * ct * rates[2],
     )
-
-
-def checked_pitch(pitch_rad: float) -> float:
-    """The pitch, when W is finite at it.
-
-    Raises:
-        AttitudeError: cos(pitch) is zero for all practical purposes.
-    """
-    if abs(math.cos(pitch_rad)) < SINGULAR_COSINE:
-        raise AttitudeError(
-            f"pitch={pitch_rad:.6f} rad: Euler rates are singular at +-pi/2; "
-            "start below it or use the plant 'quadrotor', which integrates a quaternion"
-        )
-    return pitch_rad
 
 
 @formula

@@ -192,15 +192,6 @@ def curve_state(trajectory: Trajectory, t: float) -> CurveState:
 
 
 @kernel
-def reference_positions(trajectory: Trajectory, times: Array) -> Array:
-    """Desired positions (T, 3) [m] at times (T,) [s] since the first epoch."""
-    out = np.empty((times.shape[0], 3))
-    for k in range(times.shape[0]):
-        store3(out[k], 0, reference(trajectory, times[k]).position)
-    return out
-
-
-@kernel
 def curve_samples(trajectory: Trajectory, times: Array) -> Array:
     """`curve_state` at times (T,) [s]: (T, 15), the fields in their order."""
     out = np.empty((times.shape[0], 15))

@@ -47,7 +47,6 @@ from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
-from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_nodes.emergency import (
     APART,
     LAND,
@@ -61,6 +60,7 @@ from ptnsbc_nodes.emergency import (
 from ptnsbc_nodes.runtime.environment import named_domain
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 _BRIDGE, _LINK = "bridge", ": link"
 _NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)

@@ -7,23 +7,15 @@ rclpy's deserialiser.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from sensor_msgs.msg import BatteryState, NavSatFix
 from std_msgs.msg import Float64MultiArray
 
-from ptnsbc_core.types import AgentConfig
 from ptnsbc_io.cdr import Reader, WireError, encode, split_stamp
 from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 _HIGHEST_M = 1e5
-
-
-class PlannerLimits(NamedTuple):
-    """The largest speed and acceleration that a planner may command."""
-
-    speed_m_s: float
-    acceleration_m_s2: float
 
 
 def encode_limits(limits: PlannerLimits) -> bytes:
@@ -66,17 +58,6 @@ def encode_battery(
     )
     message.header.stamp.sec, message.header.stamp.nanosec = split_stamp(stamp_ns)
     return encode(message)
-
-
-def limited(config: AgentConfig, speed_m_s: float, acceleration_m_s2: float) -> AgentConfig:
-    """The constants of one UAV, with its planner's limits lowered to the vehicle's."""
-    limits = config.filter
-    return config._replace(
-        filter=limits._replace(
-            max_speed=min(limits.max_speed, speed_m_s),
-            max_acceleration=min(limits.max_acceleration, acceleration_m_s2),
-        )
-    )
 
 
 def encode_origin(place: GeoPoint) -> bytes:

@@ -18,8 +18,9 @@ from ptnsbc_core.types import AgentState
 from ptnsbc_io.cdr import Floats
 from ptnsbc_io.wire import RowTemplate, Stamped, WireError
 from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController
 from ptnsbc_sim.counters import UavCounters
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 _STEP_FIELDS = ("sequence", *StepTime._fields)
 _NO_MESSAGE = (-1, 0)
@@ -110,7 +111,7 @@ class SnapshotTemplate:
 
 
 def _length(state: AgentState) -> int:
-    return 1 + sum(_sizes(state)) + UavCounters.SIZE + len(VehicleSpeedLimits._fields)
+    return 1 + sum(_sizes(state)) + UavCounters.SIZE + len(PlannerLimits._fields)
 
 
 def _leaves(value: Any) -> Iterator[Floats]:
@@ -139,7 +140,7 @@ def _sizes(state: AgentState) -> list[int]:
 def _label(state: AgentState) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
     words = " ".join(f"{name}:{size}" for name, size in counts)
-    limits = len(VehicleSpeedLimits._fields)
+    limits = len(PlannerLimits._fields)
     return f"sequence:1 {words} counters:{UavCounters.SIZE} limits:{limits}"
 
 
@@ -149,7 +150,7 @@ class ControllerSnapshot(NamedTuple):
     sequence: int  # the step after which it was taken
     state: AgentState
     counters: Floats  # (UavCounters.SIZE,)
-    limits: VehicleSpeedLimits
+    limits: PlannerLimits
 
 
 def current_label(label: str) -> str:
@@ -163,6 +164,6 @@ def decode_snapshot(label: str, numbers: Floats, like: AgentState) -> Controller
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1 + sum(_sizes(like))
     counters = numbers[at : at + UavCounters.SIZE]
-    limits = VehicleSpeedLimits(*(float(number) for number in numbers[at + UavCounters.SIZE :]))
+    limits = PlannerLimits(*(float(number) for number in numbers[at + UavCounters.SIZE :]))
     state: AgentState = _like(like, iter(numbers[1:at].tolist()))
     return ControllerSnapshot(int(numbers[0]), state, counters, limits)

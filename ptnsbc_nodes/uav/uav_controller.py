@@ -42,6 +42,7 @@ from ptnsbc_sim.disturbances.faults import strikes, without_position
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import RoleChange, UavRole, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.constants import PlannerLimits
 from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock
 from ptnsbc_sim.scenario.slots import Formations, Slots, optimal_slots, with_slots
 
@@ -65,21 +66,6 @@ def step_time(now_ns: int, elapsed_ns: int, leg: Leg | None, start_ns: int) -> S
     if leg is None:
         return StepTime(now_ns, elapsed_ns, MODE_HOLD, start_ns, start_ns, False)
     return StepTime(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
-
-
-class VehicleSpeedLimits(NamedTuple):
-    """Limits that do not follow from the scenario alone: a vehicle may allow less."""
-
-    max_speed: float  # [m/s]
-    max_acceleration: float  # [m/s^2]
-
-    def applied_to(self, config: AgentConfig) -> AgentConfig:
-        """The configuration with these limits."""
-        return config._replace(filter=config.filter._replace(**self._asdict()))
-
-
-def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
-    return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
 
 
 class RoleHolder(UavRole):
@@ -184,7 +170,7 @@ class UavController:
 
         Trajectory and shape go on from where those before have come; `changes` are of the agent's state.
         """
-        self.config = _speed_limits(self.config).applied_to(config)
+        self.config = PlannerLimits.of(self.config).applied_to(config)
         if self._agent is not None:
             self._agent_config = self.limits.applied_to(config)
             state = self._agent.state._replace(**changes)
@@ -196,9 +182,9 @@ class UavController:
         return self._roles is not None and self._roles.leads
 
     @property
-    def limits(self) -> VehicleSpeedLimits:
+    def limits(self) -> PlannerLimits:
         """The speed limits with which the agent flies."""
-        return _speed_limits(self._agent_config)
+        return PlannerLimits.of(self._agent_config)
 
     @property
     def state(self) -> AgentState:

@@ -16,12 +16,13 @@ from ptnsbc_nodes.comm.door import RealTimeStamps, RefusedMessage, in_lockstep, 
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
+from ptnsbc_nodes.comm.vehicle_messages import decode_limits
 from ptnsbc_nodes.uav.clocks import UavClock
 from ptnsbc_nodes.uav.inbox import MessageQueue
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
 from ptnsbc_nodes.uav.uav_controller import FlownStep, SlotDecider, UavFlight
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 
 class Subscriptions:
@@ -58,7 +59,7 @@ class Subscriptions:
 
     def _take_limits(self, limits: PlannerLimits) -> None:
         controller = self._flight.controller
-        controller.config = limited(controller.config, *limits)
+        controller.config = limits.lowering(controller.config)
 
     def _decide_slots(self, edges: CommunicationGraph) -> None:
         """Decide the slots of the fleet, by the odometry of all UAVs."""

@@ -17,7 +17,8 @@ from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.reading.reader import find, read_text
 from ptnsbc_sim.scenario.slots import with_slots
 

@@ -29,7 +29,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
+from ptnsbc_nodes.comm.vehicle_messages import decode_limits
 from ptnsbc_nodes.emergency import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet_node import Answer, FleetNode, LauncherNode, LeaderClient, not_there
@@ -38,7 +38,7 @@ from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.observer import FleetListener
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.constants import agent_config
+from ptnsbc_sim.scenario.constants import PlannerLimits, agent_config
 from ptnsbc_sim.scenario.mission.legs import CANCEL, LandLeg, ScheduledLeg, leg_names, number_of
 
 STATE = "/formation/state"
@@ -328,7 +328,7 @@ class OperatorNode:
         self._announce(epoch)
 
     def _on_limits(self, uav: int, limits: PlannerLimits) -> None:
-        self._configs[uav] = limited(self._configs[uav], *limits)
+        self._configs[uav] = limits.lowering(self._configs[uav])
 
     def _fleet_state(self) -> FleetState:
         frame, leg = self.flight.frame(), self.flight.leg

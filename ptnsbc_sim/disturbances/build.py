@@ -63,10 +63,9 @@ def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | N
     ids, ticks, seed = scenario.uav_ids, scenario.timing.ticks, scenario.seed
 
     def table(kind: int, width: int, every: int = 1) -> Array:
-        found = [
-            random_streams.normals((seed, kind, uav), -(-ticks // every), width) for uav in ids
-        ]
-        return np.ascontiguousarray(np.stack(found, axis=1))
+        count = -(-ticks // every)
+        rows = [random_streams.first_numbers((seed, kind, uav), count, width) for uav in ids]
+        return np.ascontiguousarray(np.stack(rows, axis=1))
 
     kind = position_noise_of(scenario)
     return Disturbances(

@@ -19,8 +19,8 @@ from ptnsbc_sim.disturbances.random_streams import (
     FAULT,
     STATE_LINK,
     Address,
+    first_numbers,
     uniform,
-    uniform_below,
 )
 from ptnsbc_sim.scenario import Scenario
 
@@ -50,11 +50,11 @@ class Link(NamedTuple):
 
     def losses(self, ticks: int, faults: Iterable[MessageFault] = ()) -> NDArray[np.bool_]:
         """The same for the message of each tick (ticks,)."""
-        lost = uniform_below(self._address(), ticks, self.loss)
+        lost = np.asarray(first_numbers(self._address(), ticks) < self.loss)
         for fault in faults:
             if fault.sender == self.sender and fault.loss > 0.0:
                 span = fault.span(ticks, self.period_ns)
-                lost[span] |= uniform_below(self._address(fault), ticks, fault.loss)[span]
+                lost[span] |= (first_numbers(self._address(fault), ticks) < fault.loss)[span]
         return lost
 
     def late_ns(self, stamp_ns: int, faults: Iterable[MessageFault] = ()) -> int:

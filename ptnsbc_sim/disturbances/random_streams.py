@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 
@@ -39,8 +38,8 @@ def _fill(values: Array, address: Address, block: int) -> None:
         generator.random(out=values)
 
 
-def _first(address: Address, ticks: int, *width: int) -> Array:
-    """The numbers of the first ticks: normal (ticks, width), or uniform (ticks,) without a width."""
+def first_numbers(address: Address, ticks: int, *width: int) -> Array:
+    """The numbers of the first ticks: standard normal (ticks, width), or in [0, 1) (ticks,) without a width."""
     values = np.empty((-(-ticks // BLOCK_TICKS), BLOCK_TICKS, *width))
     for block, part in enumerate(values):
         _fill(part, address, block)
@@ -80,13 +79,3 @@ def normal(address: Address, tick: int, width: int) -> Array:
 def uniform(address: Address, tick: int) -> float:
     """One number in [0, 1) for one tick."""
     return float(_newest(address, 0).row(tick))
-
-
-def normals(address: Address, ticks: int, width: int) -> Array:
-    """The numbers (ticks, width) of the first ticks."""
-    return _first(address, ticks, width)
-
-
-def uniform_below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
-    """True if the numbers of the first ticks (ticks,) are below `share`."""
-    return _first(address, ticks) < share

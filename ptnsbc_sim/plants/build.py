@@ -8,7 +8,6 @@ import numpy as np
 
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.kinematics import checked_pitch
 from ptnsbc_core.tasks.signed_distance import BODY_COLUMNS
 from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
 from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, six
@@ -49,15 +48,8 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
 
 
 def start_states(scenario: Scenario, plants: Sequence[PlantConfig]) -> Array:
-    """Plant states (N, 17) at t = 0 of vehicles in a KernelList, in the order of the scenario's UAVs.
-
-    Raises:
-        AttitudeError: a 6-DOF start at a pitch where Euler rates are singular.
-    """
+    """Plant states (N, 17) at t = 0 of vehicles in a kernel list, in the order of the scenario's UAVs."""
     uavs = scenario.uavs
-    if PLANTS[scenario.plant.kind] == PLANT_RIGID_BODY:
-        for uav in uavs:
-            checked_pitch(float(uav.attitude_rad[1]))
     positions = np.array([uav.position_m for uav in uavs], dtype=np.float64)
     attitudes = np.array([uav.attitude_rad for uav in uavs], dtype=np.float64)
     return _start_states(positions, attitudes, plants)

@@ -15,7 +15,6 @@ import numpy as np
 
 from ptnsbc_core.behaviours.formation import HOMING
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
-from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.turned import REACH
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.formation_tasks import desired_value, metres_per_row, needs_arm
@@ -59,17 +58,32 @@ def three(vector: Iterable[float]) -> Vector3:
     return x, y, z
 
 
+class PlannerLimits(NamedTuple):
+    """The largest speed and acceleration that a planner may command; a vehicle may allow less than its scenario."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+
+    @classmethod
+    def of(cls, config: AgentConfig) -> PlannerLimits:
+        """The limits in the constants of one UAV."""
+        return cls(config.filter.max_speed, config.filter.max_acceleration)
+
+    def applied_to(self, config: AgentConfig) -> AgentConfig:
+        """The constants with these limits."""
+        speed, acceleration = self
+        limits = config.filter._replace(max_speed=speed, max_acceleration=acceleration)
+        return config._replace(filter=limits)
+
+    def lowering(self, config: AgentConfig) -> AgentConfig:
+        """The constants with these limits where they are lower."""
+        lower = map(min, PlannerLimits.of(config), self)
+        return PlannerLimits(*lower).applied_to(config)
+
+
 def leader_trajectory(scenario: Scenario) -> Trajectory:
     """The leader's reference as ptnsbc_core.curves.trajectory reads it."""
     return trajectory_of(scenario.leader.trajectory)
-
-
-def places_beside_leader(scenario: Scenario, uav_id: int, times: Array) -> Array:
-    """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
-    if uav_id == scenario.leader.id or not scenario.formation.moves:
-        return np.tile(scenario.offset(uav_id), (len(times), 1))
-    shape = shape_of(scenario, uav_id)
-    return place_samples(shape, leader_trajectory(scenario), times)[:, :3]
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:

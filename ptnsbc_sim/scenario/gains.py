@@ -290,7 +290,6 @@ _PLANT: dict[str, dict[str, Any]] = {
             "profile": "paper",
         },
         "filter": {"bandwidth_1_s": 30, "max_rate_rad_s": 6.5},
-        "pointing": {"tilt_1_s": 12, "yaw_1_s": 3},
         # wide boundaries and low caps: the sliding term adds cap/boundary to a loop gain
         "adaptation": {"gamma_mass": 12, "cap_m_s2": 1, "cap_rad_s2": 3},
         "boundary": {"velocity_m_s": 0.4, "rate_rad_s": 1.0},

@@ -12,7 +12,7 @@ from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
-from ptnsbc_io.wire import MOST_NEAR_OBJECTS
+from ptnsbc_io.wire import LARGEST_POSITION_M, MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario.fields import AUTO, number_in
 from ptnsbc_sim.scenario.gains import Gains, Loop
 from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT, fault_problems
@@ -30,7 +30,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     utc_time,
 )
 from ptnsbc_sim.scenario.mission.shapes import Reshaping
-from ptnsbc_sim.scenario.mission.trajectories import trajectory_problems
+from ptnsbc_sim.scenario.mission.trajectories import first_place, trajectory_problems
 from ptnsbc_sim.scenario.model import ScenarioFile, plant_of
 from ptnsbc_sim.scenario.obstacles import bodies, obstacle_problems
 from ptnsbc_sim.scenario.problems import Problem, Problems, ScenarioError, one_of, unless
@@ -131,6 +131,10 @@ def estimator_step(file: ScenarioFile, topology: Topology) -> float:
 _CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
 
 
+def _is_port(connect: str) -> bool:
+    return connect.startswith("serial") or 0 < int(connect.rpartition(":")[2]) < 65536
+
+
 def _timing(file: ScenarioFile) -> Problems:
     timing, fixes, hz = file.timing, file.sensor.positioning, file.timing.control_hz
     whole = "a rate whose period is a whole number of nanoseconds, such as 50, 100, 200, 250"
@@ -203,6 +207,10 @@ def _formation(file: ScenarioFile) -> Problems:
     yield from unless(sight_m <= 0.5 * least, "formation.sight_m", sight_m, half)
     for problem in trajectory_problems(file.leader.trajectory):
         yield problem.below("leader.trajectory")
+    places = {f"uavs[{k}].position_m": uav.position_m for k, uav in enumerate(file.uavs)}
+    near = f"a place less than {LARGEST_POSITION_M:g} m from the origin, or no message can tell it: move the origin"
+    for key, place in {"leader.trajectory": first_place(file.leader.trajectory), **places}.items():
+        yield from unless(math.hypot(*place) < LARGEST_POSITION_M, key, list(place), near)
 
 
 def _changes(file: ScenarioFile) -> Problems:
@@ -290,12 +298,20 @@ def _plant(file: ScenarioFile) -> Problems:
     given = not rotors or plant.quadrotor is not None
     expected = "its limits, or plant.kind: rigid_body_6dof"
     yield from unless(given, "plant.quadrotor", "missing", expected)
-    for index, uav in enumerate(file.uavs if rotors else ()):
+    gravity, expected = (
+        file.world.gravity_m_s2,
+        "more than 0, without which a quadrotor cannot steer",
+    )
+    yield from unless(gravity > 0.0 or not rotors, "world.gravity_m_s2", gravity, expected)
+    limit = "quadrotor.max_thrust_n" if rotors else "rigid_body.max_force_n"
+    for index, uav in enumerate(file.uavs):
+        pitch, key = uav.attitude_rad[1], f"uavs[{index}].attitude_rad[1]"
+        below = "below pi/2, where Euler rates are singular, or plant.kind: quadrotor"
+        yield from unless(rotors or abs(math.cos(pitch)) > 1e-6, key, pitch, below)
         own = plant_of(plant, uav)
-        weight = own.mass_kg * max(uav.mass_scale, 1.0) * file.world.gravity_m_s2
-        most = own.rotor_limits.max_thrust_n
-        general = uav.max_force_n is None
-        key = "plant.quadrotor.max_thrust_n" if general else f"uavs[{index}].max_force_n"
+        weight = own.mass_kg * max(uav.mass_scale, 1.0) * gravity
+        most = own.rotor_limits.max_thrust_n if rotors else own.rigid_body.max_force_n
+        key = f"plant.{limit}" if uav.max_force_n is None else f"uavs[{index}].max_force_n"
         whose = f" of UAV {uav.id}" if own != plant or uav.mass_scale > 1.0 else ""
         expected = f"more than the weight{whose}, {weight:.3g} N, or it cannot hover"
         yield from unless(most > weight, key, most, expected)
@@ -310,7 +326,7 @@ def _mavlink(file: ScenarioFile) -> Problems:
     for uav, vehicle in block.vehicles.items():
         where, connect = f"mavlink.vehicles.{uav}", vehicle.connect
         yield from unless(uav in ids, where, "no such UAV", one_of(ids))
-        known = connect is None or _CONNECT.fullmatch(connect)
+        known = connect is None or (_CONNECT.fullmatch(connect) and _is_port(connect))
         yield from unless(known, f"{where}.connect", f'"{connect}"', connections)
     for key in block.overrides:
         below = key.split(".")[0] in ("gains", "formation")

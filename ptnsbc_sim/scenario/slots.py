@@ -22,8 +22,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.topology import Topology, estimator_matrix, validated_topology
 from ptnsbc_core.types import NEVER_RECEIVED_S, Array
-from ptnsbc_sim.scenario.constants import places_beside_leader
 from ptnsbc_sim.scenario.fields import replaced
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.scenario import Scenario
 

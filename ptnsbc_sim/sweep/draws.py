@@ -20,6 +20,7 @@ _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _RANGE = re.compile(rf"\s*{_NUMBER}\s*:\s*{_NUMBER}\s*")
 _GRID = re.compile(rf"\s*{_NUMBER}\s*:\s*{_NUMBER}\s*:\s*(\d+)\s*")
 _NORMAL = re.compile(rf"\s*{_NUMBER}\s*(?:±|\+-)\s*{_NUMBER}\s*")
+_MOST_POINTS = 10_000  # of a grid: the plan holds each
 _LEAST = 2.0**-54  # a share of 0 would be an infinite normal number
 
 UNIFORM, NORMAL, VALUES = "uniform", "normal", "values"
@@ -75,8 +76,8 @@ def parse_axis(text: str) -> SweepAxis:
 
 def _grid(text: str, match: re.Match[str]) -> tuple[float | int, ...]:
     low, high, count = float(match[1]), float(match[2]), int(match[3])
-    if count < 2:
-        raise SweepError(f'vary "{text}": expected at least 2 points')
+    if not 2 <= count <= _MOST_POINTS:
+        raise SweepError(f'vary "{text}": expected 2 to {_MOST_POINTS} points')
     points = [float(value) for value in np.linspace(low, high, count)]
     whole = all("." not in part and "e" not in part.lower() for part in match.groups())
     if whole and all(point.is_integer() for point in points):

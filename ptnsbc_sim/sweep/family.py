@@ -14,29 +14,45 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
+from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Positive
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.sweep.draws import BOX, NEAR, Spacing, Starts, drawn_places, spacing_of
 
-# A range is [low, high]; a number alone is that number in every draw.
-Range = Annotated[
-    Number | tuple[Number, Number], Field(description="a number, or [low, high] to draw from")
+
+def _ascending(value: Any) -> Any:
+    if isinstance(value, tuple) and value[0] > value[1]:
+        raise PydanticCustomError(
+            "range", "expected [low, high], which ascend", {"value": [*value]}
+        )
+    return value
+
+
+_Ascending = AfterValidator(_ascending)
+_FROM_TWO = Field(description="a number, or [low, high] to draw from")
+Range = Annotated[NotNegative | tuple[NotNegative, NotNegative], _Ascending, _FROM_TWO]
+"""A range is [low, high]; a number alone is that number in every draw."""
+PositiveRange = Annotated[Positive | tuple[Positive, Positive], _Ascending, _FROM_TWO]
+_Count = Annotated[Count, Field(le=254)]
+CountRange = Annotated[
+    _Count | tuple[_Count, _Count], _Ascending, Field(description="a number, or [low, high]")
 ]
-CountRange = Annotated[Count | tuple[Count, Count], Field(description="a number, or [low, high]")]
 
 
 class FamilyTree(Block):
     """The parent of every follower."""
 
-    kinds: tuple[Literal["chain", "star", "random"], ...] = ("random",)
+    kinds: Annotated[tuple[Literal["chain", "star", "random"], ...], Field(min_length=1)] = (
+        "random",
+    )
     """One of these is drawn. Followers hear the leader, and the next and the last one by number."""
     depth: Count = 3
     """Most hops from the leader, of a random tree."""
@@ -45,9 +61,12 @@ class FamilyTree(Block):
 class FamilyShape(Block):
     """The formation."""
 
-    kinds: tuple[Literal["v", "line", "column", "grid", "circle", "sphere", "random"], ...] = ("v",)
+    kinds: Annotated[
+        tuple[Literal["v", "line", "column", "grid", "circle", "sphere", "random"], ...],
+        Field(min_length=1),
+    ] = ("v",)
     """One of these is drawn: those of `formation.shape`, or `random` places."""
-    spacing_m: Range = 2.0
+    spacing_m: PositiveRange = 2.0
     """Between neighbours in the shape; of the random shape the least distance."""
 
 
@@ -67,20 +86,22 @@ class FamilyStarts(Block):
 class FamilyPath(Block):
     """The path of the leader."""
 
-    kinds: tuple[Literal["hover", "line", "circle"], ...] = ("hover",)
+    kinds: Annotated[tuple[Literal["hover", "line", "circle"], ...], Field(min_length=1)] = (
+        "hover",
+    )
     """One of these is drawn."""
     speed_m_s: Range = (0.2, 1.0)
     """Of a line, in any horizontal direction, and along a circle."""
-    radius_m: Range = (3.0, 8.0)
+    radius_m: PositiveRange = (3.0, 8.0)
     """Of a circle."""
 
 
 class FamilyDeadline(Block):
     """The promise: one of the two."""
 
-    seconds: Range | None = None
+    seconds: PositiveRange | None = None
     """Absolute."""
-    of_feasible: Range | None = None
+    of_feasible: PositiveRange | None = None
     """Multiple of the shortest that the speed and acceleration limits allow for the largest start error."""
     at_least_s: NotNegative = 1.0
     """With `of_feasible`: never shorter."""
@@ -99,7 +120,7 @@ class FamilyObstacles(Block):
 
     count: CountRange
     """Number of obstacles, as far as there is room for them: the table tells how many there were."""
-    keep_out_m: Range = (0.5, 1.5)
+    keep_out_m: PositiveRange = (0.5, 1.5)
     """Radius."""
     where: Literal["way", "anywhere"] = "way"
     """Between starts and places, or anywhere around both."""
@@ -117,9 +138,9 @@ class FamilyWind(Block):
 class FamilyMass(Block):
     """True mass and inertia over what the laws know, drawn for each UAV, and for each axis of it."""
 
-    mass_scale: Range = 1.0
+    mass_scale: PositiveRange = 1.0
     """Of the mass."""
-    inertia_scale: Range = 1.0
+    inertia_scale: PositiveRange = 1.0
     """Of the moments of inertia."""
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import pickle
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from scipy.stats import qmc
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.wire import LARGEST_POSITION_M
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import takes_off
 from ptnsbc_sim.scenario.problems import Tree
@@ -39,6 +39,9 @@ from ptnsbc_sim.sweep.draws import (
 from ptnsbc_sim.sweep.family import draw_family, family_from_text
 
 FORMAT = 1
+
+MOST_DRAWS = 10_000_000
+"""Flights of a sweep at most."""
 
 Value = float | int | str | bool | None
 """A drawn value as a column of the table holds it."""
@@ -113,8 +116,9 @@ def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
     SweepError when it has no flight, or an axis that cannot be; ScenarioError when its first draw is no scenario.
     """
     plan = SweepPlan(scenario.text, runs, source=scenario.source, **rest)
-    if runs < 1:
-        raise SweepError(f"runs: {runs}: expected at least 1")
+    if runs < 1 or plan.draws > MOST_DRAWS:
+        flights = f" in {plan.cells} cells" if plan.cells > 1 else ""
+        raise SweepError(f"runs: {runs}{flights}: expected 1 to {MOST_DRAWS} flights in all")
     keys = [axis.key for axis in plan.axes]
     if len(set(keys)) < len(keys):
         raise SweepError(f"vary: a key stands twice: {', '.join(keys)}")
@@ -137,12 +141,6 @@ def _design(seed: int, draws: int, width: int) -> Array:
     rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=words)))
     found: Array = qmc.LatinHypercube(width, seed=rng).random(draws)
     return found
-
-
-@lru_cache(maxsize=4)
-def _base(text: str, source: str) -> bytes:
-    """The tree of the base scenario, from which every draw makes a copy of its own."""
-    return pickle.dumps(reader.parse(text, source))
 
 
 _family = lru_cache(maxsize=4)(family_from_text)
@@ -170,7 +168,7 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     """The scenario tree of draw k, and what was drawn for it."""
     if not 0 <= k < plan.draws:
         raise SweepError(f"draw {k}: expected 0 to {plan.draws - 1}")
-    tree: Tree = pickle.loads(_base(plan.scenario, plan.source))
+    tree = reader.parse(plan.scenario, plan.source)
     values: dict[str, Value] = {}
     if plan.family:
         base = _base_scenario(plan.scenario, plan.source)
@@ -247,8 +245,8 @@ def _common(text: str, source: str, stop_after_s: float | None) -> tuple[Scenari
 def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
     """The scenario of a draw without axes and family; None where its starts are to be validated.
 
-    No check of a scenario looks at seed and starts, but that they are finite: the base scenario is validated once,
-    and every draw shares its blocks. A take-off is the exception, as it makes places and path of the starts.
+    No check of a scenario looks at seed and starts, but that they are not too far: the base scenario is validated
+    once, and every draw shares its blocks. A take-off is the exception, as it makes places and path of the starts.
     """
     source = _source(plan, k)
     try:
@@ -262,7 +260,7 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
             return None
         given = [uav.position_m for uav in base.uavs]
         places = drawn_places(given, plan.starts, spacing, generator(plan, k, "starts"))
-        if not np.isfinite(places).all():
+        if not (np.linalg.norm(places, axis=1) < LARGEST_POSITION_M).all():
             return None
         update["uavs"] = tuple(
             uav.model_copy(update={"position_m": tuple(place.tolist())})

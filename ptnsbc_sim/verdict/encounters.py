@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.behaviours.recovery import recovery_duration
-from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.tasks.near_constraints import LATENCIES
 from ptnsbc_core.timebase import plan_duration
@@ -27,6 +26,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
+from ptnsbc_sim.scenario.approach.path import left_of_start
 from ptnsbc_sim.scenario.constants import clearance_config, recovery_config
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
@@ -185,17 +185,12 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     stamps, which = np.unique(looked, return_inverse=True)
     begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
     block = recording.at(stamps)
-    turn = turn_of(scenario)
-    left = np.array([left_at(turn, t / duration_s) for t in block.times.tolist()])
-    off = {}
+    turn, off = turn_of(scenario), {}
     for uav, vectors in formation_vectors(recording, block).items():
         if uav == scenario.leader.id:
             vectors[block.times < gain.duration_s] = 0.0
         else:
-            x, y, z = vectors[begin]  # the start error, of which `left` is left
-            along, across, up = left.T
-            plan = np.stack([along * x - across * y, across * x + along * y, up * z], axis=1)
-            vectors = vectors - plan
+            vectors = vectors - left_of_start(turn, block.times / duration_s, vectors[begin])
         beside = lengths(vectors)
         growing = np.maximum(beside[soon] - beside[now], 0.0) / seconds(_GROWTH_NS)
         off[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptnsbc_core.curves.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds_since
 from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of
 
@@ -30,7 +31,7 @@ def formation_vectors(recording: Recording, block: Instants) -> dict[int, Array]
         scenario = phase.scenario
         positions = {uav: place[span] for uav, place in block.positions.items()}
         leader = _reference(scenario, positions[scenario.leader.id])
-        path = reference_positions(leader_trajectory(scenario), times[span])
+        path = curve_samples(leader_trajectory(scenario), times[span])[:, :3]
         moving, vectors = scenario.formation.moves, {}
         for uav in scenario.uav_ids:
             slot = scenario.offset(uav)

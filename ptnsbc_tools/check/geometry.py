@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.curves.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.tasks.formation_tasks import conditioning
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
@@ -19,12 +19,12 @@ from ptnsbc_sim.scenario.approach.path import distances
 from ptnsbc_sim.scenario.constants import (
     clearance_config,
     leader_trajectory,
-    places_beside_leader,
     recovery_config,
     reference_offset,
     shape_problem,
     sight_speed,
 )
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
@@ -165,7 +165,7 @@ def meetings(scenario: Scenario) -> Iterator[Meeting]:
     )
     if times.size < 2 or not scenario.world.bodies:
         return
-    path = reference_positions(leader_trajectory(scenario), times)
+    path = curve_samples(leader_trajectory(scenario), times)[:, :3]
     for obstacle in scenario.world.bodies:
         for uav in scenario.uav_ids:
             way = path + places_beside_leader(scenario, uav, times)

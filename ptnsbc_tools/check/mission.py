@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from ptnsbc_core.behaviours.recovery import recovery_duration
-from ptnsbc_core.curves.trajectory import reference, reference_positions
+from ptnsbc_core.curves.trajectory import curve_samples, reference
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import leg_room
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader, recovery_config
+from ptnsbc_sim.scenario.constants import leader_trajectory, recovery_config
 from ptnsbc_sim.scenario.mavlink import Geofence
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS, PROCESS, modelled
 from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, TakeOffLeg, Word, leg_names
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_sim.scenario.slots import Formations, Membership
@@ -114,7 +115,7 @@ def _region(scenario: Scenario) -> Findings:
         corners = itertools.product(*zip(block.low_m, block.high_m, strict=True))
         path = np.array(list(corners), dtype=np.float64)  # (8, 3) of the region
     else:
-        path = reference_positions(leader_trajectory(scenario), times)
+        path = curve_samples(leader_trajectory(scenario), times)[:, :3]
     times, legs = times[: len(path)], scenario.legs
     up_s = legs[0].due_s if legs and isinstance(legs[0].leg, TakeOffLeg) else 0.0
     places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}

@@ -36,9 +36,10 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, VehicleSpeedLimits, sent_faults
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, sent_faults
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 _KEPT_NS = 5_000_000_000  # age behind the newest message at which a message is dropped
 _SPARE = 256  # stamps between two clearings
@@ -277,7 +278,7 @@ class UavReplay:
         self.reset(limits)
         self.next_step = 0
 
-    def reset(self, limits: VehicleSpeedLimits | None = None) -> None:
+    def reset(self, limits: PlannerLimits | None = None) -> None:
         """Forget the state of the controller, because a step was left out; only a snapshot restores it."""
         self.next_step = None
         self._held: dict[str, Stamped] = {}

@@ -26,7 +26,8 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict import Track
 from ptnsbc_sim.verdict.deadline import WORST_FIRST
 from ptnsbc_tools.plotting.charts import (

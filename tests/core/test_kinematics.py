@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 from on_arrays import tuples
 from scipy.spatial.transform import Rotation
 
-from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kinematics import (
     body_rates,
-    checked_pitch,
     euler_from_rotation,
     euler_rates,
     is_estimate,
@@ -105,14 +103,6 @@ def test_w_by_hand() -> None:
     np.testing.assert_allclose(euler_rates(np.zeros(3), np.array([1.0, 2, 3])), [1, 2, 3])
     rolled = np.array([np.pi / 2, 0.0, 0.0])
     np.testing.assert_allclose(euler_rates(rolled, np.array([0.0, 1, 0])), [0, 0, 1], atol=1e-15)
-
-
-def test_singular_pitch_is_refused_in_words() -> None:
-    with pytest.raises(AttitudeError, match=r"pitch=1\.570796 rad.*singular.*plant 'quadrotor'"):
-        checked_pitch(np.pi / 2)
-    with pytest.raises(AttitudeError):
-        checked_pitch(-np.pi / 2)
-    assert checked_pitch(1.57) == 1.57
 
 
 def test_theta_inverse_twice_turns_a_command_by_76_degrees() -> None:

@@ -9,7 +9,7 @@ import pytest
 from ptnsbc_core.agent import HOLDING
 from ptnsbc_core.behaviours.neighbour import SILENT
 from ptnsbc_core.behaviours.recovery import recovery_duration
-from ptnsbc_core.curves.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NeighbourMotion, NeighbourMotions
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
@@ -32,7 +32,7 @@ def flight(vacancy: str = "keep") -> HeadlessFlight:
 def off(flown: HeadlessFlight) -> np.ndarray:
     """Distance (T, N) [m] of every UAV from its own slot beside the path of the leader."""
     scenario, times = flown.scenario, flown.t_ns * 1e-9
-    path = reference_positions(leader_trajectory(scenario), times)
+    path = curve_samples(leader_trajectory(scenario), times)[:, :3]
     slots = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
     return np.linalg.norm(flown.truth[:, :, :3] - path[:, None] - slots, axis=2)
 
@@ -56,7 +56,7 @@ def test_a_loss_moves_nobody_by_more_than_the_stated_jump():
     others = [row for row, uav in enumerate(flown.scenario.uav_ids) if uav not in (1, 6)]
     assert distance[3600:, others].max() < JUMP_M
     estimates = flown.track.estimate[3600:3800, others, :3]
-    path = reference_positions(leader_trajectory(flown.scenario), flown.t_ns[3600:3800] * 1e-9)
+    path = curve_samples(leader_trajectory(flown.scenario), flown.t_ns[3600:3800] * 1e-9)[:, :3]
     assert np.linalg.norm(estimates - path[:, None], axis=2).max() < JUMP_M
 
 

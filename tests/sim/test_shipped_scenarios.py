@@ -9,7 +9,8 @@ import pytest
 from ptnsbc_core.agent import HOLDING, PRIORITY_VIOLATION
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.deadline import MET

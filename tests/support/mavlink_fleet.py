@@ -30,12 +30,12 @@ from ptnsbc_nodes.bridge.ports import BridgeInputs
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.emergency import APART, Order
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 
 STEP_S = 0.004  # of the stand-ins
 BASE_NS = 1_700_000_000_000_000_000
@@ -183,9 +183,8 @@ class FleetUav:
 
     def on_limits(self, limits):
         self.limits = limits
-        self.controller.config = limited(
-            self.controller.config, limits.planner_m_s, limits.acceleration_m_s2
-        )
+        planner = PlannerLimits(limits.planner_m_s, limits.acceleration_m_s2)
+        self.controller.config = planner.lowering(self.controller.config)
 
     def on_odometry(self, stamp_ns, odometry):
         self.stamps.append(stamp_ns)

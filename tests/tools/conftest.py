@@ -20,8 +20,9 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
-from ptnsbc_nodes.uav.uav_controller import UavController, VehicleSpeedLimits, step_time
+from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_sim.world import World
 from ptnsbc_tools import console
@@ -83,7 +84,7 @@ class _Process:
         self._pilot = UavController(scenario, uav, edges)
         self.inbox = self._pilot.inbox
         if self._carried:
-            slow = VehicleSpeedLimits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
+            slow = PlannerLimits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
             self._pilot.config = slow.applied_to(self._pilot.config)
         self._letters = AgentMessages(uav)
         self._tick = TickTemplate(senders)

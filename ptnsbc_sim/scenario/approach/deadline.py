@@ -30,7 +30,7 @@ from ptnsbc_sim.scenario.approach.path import (
 )
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
-from ptnsbc_sim.scenario.mission.route import shape_of
+from ptnsbc_sim.scenario.mission.route import places_beside_leader, shape_of
 from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.mission.trajectories import (
     Circle,
@@ -88,7 +88,7 @@ def _actuators(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
     sideways = gravity * math.tan(plant.quadrotor.max_tilt_rad)
     upwards = plant.quadrotor.max_thrust_n / plant.mass_kg - gravity
     drag = plant.quadrotor.drag_1_s * (leader_speed + math.hypot(*file.world.wind_m_s))
-    return min([upwards, *([sideways - drag] if gravity > 0 else [])])
+    return min(upwards, sideways - drag)
 
 
 def _left(file: ScenarioFile, speed: float, acceleration: float) -> MotionLimits:
@@ -161,11 +161,7 @@ def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> Problem:
 
 def _offsets_at(file: ScenarioFile, t: float) -> dict[int, Array]:
     """Place (3,) [m] of every slot beside the leader's, so long after the first epoch."""
-    offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
-    if file.formation.moves:
-        curve, now = trajectory_of(file.leader.trajectory), np.array([t])
-        offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
-    return {uav: offsets.get(uav, np.zeros(3)) for uav in file.uav_ids}
+    return {uav: places_beside_leader(file, uav, np.array([t]))[0] for uav in file.uav_ids}
 
 
 def starts_of(file: ScenarioFile) -> EpochPlaces:

@@ -18,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.timebase import h, plan_duration
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array
 from ptnsbc_sim.scenario.gains import gain_of
-from ptnsbc_sim.scenario.mission.route import shape_of
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile
 
@@ -179,11 +178,9 @@ def planned_paths(
     if slot == file.leader.id:
         return t, path
     s = np.minimum(t / plan_durations(file, deadlines)[:, None], 1.0)
-    place = np.broadcast_to(np.array(file.formation.offsets_m[slot]), path.shape)
-    if file.formation.moves:
-        moving = place_samples(shape_of(file, slot), curve, times)[:, :3].reshape(path.shape)
-        share = 1.0 if starts.begin_s else rise(s)[..., None]
-        place = moving[:1, :1] + share * (moving - moving[:1, :1])
+    place = places_beside_leader(file, slot, times).reshape(path.shape)
+    if file.formation.moves and not starts.begin_s:
+        place = place[:1, :1] + rise(s)[..., None] * (place - place[:1, :1])
     error = starts.positions_m[lead] + place[0, 0] - starts.positions_m[uav]
     return t, path + place - left_of_start(turn, s, error)
 
@@ -210,8 +207,6 @@ def demands(
     thrust = (
         np.linalg.norm(force, axis=2).max(axis=1) * plant.mass_kg / plant.quadrotor.max_thrust_n
     )
-    if gravity <= 0.0:
-        return np.max([speed, rate, thrust], axis=0)
     lift = np.maximum(force[..., 2], _ROUNDING) * math.tan(plant.quadrotor.max_tilt_rad)
     tilt = (np.hypot(force[..., 0], force[..., 1]) / lift).max(axis=1)
     return np.max([speed, rate, thrust, tilt], axis=0)

@@ -1,4 +1,4 @@
-"""Tables of polynomials (ptnsbc_core.curves.piecewise): through knots, at other knots, summed, and as a curve.
+"""Tables of polynomials (`ptnsbc_core.curves.trajectory`): through knots, at other knots, summed, and as a curve.
 
 A row is the time at which its polynomials begin, and the coefficients of each channel, the highest power first, of the
 time since then.

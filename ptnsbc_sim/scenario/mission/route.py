@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
-from ptnsbc_core.curves.shape import CHANNELS
+from ptnsbc_core.curves.shape import CHANNELS, place_samples
 from ptnsbc_core.curves.trajectory import COEFFICIENTS, curve_samples
 from ptnsbc_core.types import TRAJECTORY_PIECEWISE, Array, Shape, Trajectory
 from ptnsbc_sim.scenario.fields import replaced
@@ -259,6 +259,13 @@ def shape_of(file: ScenarioFile, uav: int) -> Shape:
                 width = rows.shape[1] - 1
                 table[:, 1 + width * at : 1 + width * (at + 1)] += rows[:, 1:]
     return Shape(True, formation.frame == "heading", table)
+
+
+def places_beside_leader(file: ScenarioFile, uav: int, times: Array) -> Array:
+    """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
+    if uav == file.leader.id or not file.formation.moves:
+        return np.tile(file.offset(uav), (len(times), 1))
+    return place_samples(shape_of(file, uav), trajectory_of(file.leader.trajectory), times)[:, :3]
 
 
 def _is_below(tree: Mapping[int, int], uav: int | None, head: int) -> bool:

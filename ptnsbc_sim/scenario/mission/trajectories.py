@@ -1,6 +1,6 @@
 """Trajectories of the leader: their blocks in a scenario file, their curves, extremes, and why a block has none.
 
-SciPy's splines make curves through points once; they become a table of polynomials (ptnsbc_core.curves.piecewise).
+SciPy's splines make curves through points once; they become a table of polynomials (`ptnsbc_core.curves.trajectory`).
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ def _waypoint_problems(block: Waypoints) -> Problems:
         yield Problem(f"times_s[{wrong}]", f"{times[wrong]:g}", _ASCENDING)
 
 
-_ASCENDING = "times that begin with 0 and ascend"
+_ASCENDING = f"times that begin with 0 and ascend, by {_LEAST_GAP_S:g} s or more"
 
 
 def _not_ascending(times: Sequence[float]) -> int | None:
@@ -266,11 +266,23 @@ def samples_of(text: str | None) -> Array:
     return table
 
 
-@lru_cache(maxsize=64)
 def trajectory_of(block: AnyPath) -> Trajectory:
     """The curve of a trajectory block that has no `problems`."""
-    if isinstance(block, Route | Streamed):
-        return block.curve
+    return block.curve if isinstance(block, Route | Streamed) else _curve_of(block)
+
+
+def first_place(block: AnyPath) -> tuple[float, ...]:
+    """Where a trajectory begins, or the centre that it goes around [m], ENU."""
+    numbers, table = trajectory_of(block)
+    if not len(table):
+        return numbers[1:4]
+    if numbers[0] == TRAJECTORY_HARMONIC:
+        return tuple(table[:, 0].tolist())
+    return tuple(table[0, COEFFICIENTS : 3 * COEFFICIENTS + 1 : COEFFICIENTS].tolist())
+
+
+@lru_cache(maxsize=64)
+def _curve_of(block: TrajectoryBlock | SetpointTrajectory) -> Trajectory:
     if isinstance(block, SetpointTrajectory):
         return streamed(block, setpoints_of(block.samples or "")).curve
     if isinstance(block, Circle):

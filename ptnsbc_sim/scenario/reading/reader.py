@@ -222,14 +222,14 @@ def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
 def _step(node: Any, key: str, path: str, source: str) -> Any:
     """One segment of a dotted override as the key or index it means in `node`."""
     if isinstance(node, list):
-        if not key.isdigit() or int(key) >= len(node):
+        if not key.isdecimal() or int(key) >= len(node):
             raise ScenarioError(
                 f"{source}: override {path}: {key}: expected an index below {len(node)}"
             )
         return int(key)
     if not isinstance(node, dict):
         raise ScenarioError(f"{source}: override {path}: {key}: there is nothing below this key")
-    return int(key) if key.isdigit() and key not in node else key
+    return int(key) if key.isdecimal() and key not in node else key
 
 
 def overridden(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:

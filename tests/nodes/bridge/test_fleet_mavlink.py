@@ -14,7 +14,7 @@ from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.constants import places_beside_leader
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on
 
 PLUGINS = Path(__file__).parents[3] / "examples" / "plugins"

@@ -9,7 +9,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from ptnsbc_core.curves.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import MODE_FORMATION, MODE_HOLD
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.announcements import Decision
@@ -79,7 +79,7 @@ def leader_off_m(late_ticks: int) -> float:
         at = StepTime(now_ns, scenario.timing.dt_ns, MODE_FORMATION, 0, 0, True)
         wrenches[1] = flown.step(at, NO_CUTOFF_NS).wrench.copy()
         if tick >= 1000:
-            place = reference_positions(path, np.array([now_ns * 1e-9]))[0]
+            place = curve_samples(path, np.array([now_ns * 1e-9]))[:, :3][0]
             largest = max(largest, float(np.linalg.norm(world.truth(1)[0:3] - place)))
         world.step(wrenches)
     return largest
@@ -305,7 +305,7 @@ def errors(places: np.ndarray, slots: dict[int, int], first: int) -> np.ndarray:
     leader = list(held.uav_ids).index(held.leader.id)
     goal = found[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
     times = np.arange(first, first + len(found)) * 0.01
-    goal[:, leader] = reference_positions(leader_trajectory(held), times)
+    goal[:, leader] = curve_samples(leader_trajectory(held), times)[:, :3]
     return np.linalg.norm(found - goal, axis=2)
 
 

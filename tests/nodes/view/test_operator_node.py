@@ -16,7 +16,7 @@ from ptnsbc_interfaces.msg import Emergency, LegOutcome, UavState
 from ptnsbc_interfaces.srv import Arm, StartLeg, Stop
 
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, encode_limits
+from ptnsbc_nodes.comm.vehicle_messages import encode_limits
 from ptnsbc_nodes.view import operator_node
 from ptnsbc_nodes.view.operator_node import (
     ARM_VEHICLES,
@@ -24,6 +24,7 @@ from ptnsbc_nodes.view.operator_node import (
     START_LEG,
 )
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.constants import PlannerLimits
 from tests.support.operated_fleet import T0_S, Fleet
 
 pytestmark = pytest.mark.ros

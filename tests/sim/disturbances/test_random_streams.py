@@ -5,10 +5,9 @@ import numpy as np
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.disturbances.random_streams import (
     BLOCK_TICKS,
+    first_numbers,
     normal,
-    normals,
     uniform,
-    uniform_below,
 )
 
 ADDRESS = (7, 0, 3)
@@ -16,11 +15,11 @@ ADDRESS = (7, 0, 3)
 
 def test_one_tick_alone_is_the_same_as_in_a_table() -> None:
     ticks = 2 * BLOCK_TICKS + 5
-    table = normals(ADDRESS, ticks, 6)
+    table = first_numbers(ADDRESS, ticks, 6)
     assert table.shape == (ticks, 6)
     for tick in (ticks - 1, 0, BLOCK_TICKS, BLOCK_TICKS - 1, 17):
         assert normal(ADDRESS, tick, 6).tobytes() == table[tick].tobytes()
-    lost = uniform_below(ADDRESS, ticks, 0.3)
+    lost = first_numbers(ADDRESS, ticks) < 0.3
     assert [uniform(ADDRESS, tick) < 0.3 for tick in range(ticks)] == lost.tolist()
 
 
@@ -35,16 +34,16 @@ def test_a_long_flight_takes_the_memory_of_one_block_of_a_stream() -> None:
     newest = random_streams._newest(address, 3)
     assert newest._number == 9
     assert newest._values.ctypes.data == place
-    assert first.tobytes() == before == normals(address, 1, 3).tobytes()
+    assert first.tobytes() == before == first_numbers(address, 1, 3).tobytes()
 
 
 def test_a_longer_table_begins_with_the_shorter_one() -> None:
-    assert normals(ADDRESS, 10, 3).tobytes() == normals(ADDRESS, 3000, 3)[:10].tobytes()
+    assert first_numbers(ADDRESS, 10, 3).tobytes() == first_numbers(ADDRESS, 3000, 3)[:10].tobytes()
 
 
 def test_every_address_has_numbers_of_its_own() -> None:
     addresses = [(7, 0, 3), (8, 0, 3), (7, 1, 3), (7, 0, 4), (7, 2, 3, 4), (7, 2, 4, 3)]
-    found = np.stack([normals(address, 4000, 1)[:, 0] for address in addresses])
+    found = np.stack([first_numbers(address, 4000, 1)[:, 0] for address in addresses])
     mixed = np.corrcoef(found)
     assert np.abs(mixed - np.eye(len(addresses))).max() < 0.08  # five standard errors
     first, second = found[0, :BLOCK_TICKS], found[0, BLOCK_TICKS : 2 * BLOCK_TICKS]
@@ -52,7 +51,7 @@ def test_every_address_has_numbers_of_its_own() -> None:
 
 
 def test_they_are_normal_and_uniform() -> None:
-    found = normals(ADDRESS, 20_000, 1)
+    found = first_numbers(ADDRESS, 20_000, 1)
     assert abs(found.mean()) < 0.04
     assert abs(found.std() - 1.0) < 0.03
-    assert abs(uniform_below(ADDRESS, 20_000, 0.05).mean() - 0.05) < 0.008
+    assert abs((first_numbers(ADDRESS, 20_000) < 0.05).mean() - 0.05) < 0.008

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.types import PLANT_RIGID_BODY
-from ptnsbc_sim.plants.build import plant_config, start_states
+from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.plants.contract import PlantConfig, disturbance, no_waves, update_waves
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
@@ -156,11 +155,3 @@ def test_odometry_agrees_with_scipy() -> None:
     expected = Rotation.from_euler("ZYX", [2.0, -1.2, 0.3])
     np.testing.assert_allclose(Rotation.from_quat(own[3:7]).as_matrix(), expected.as_matrix())
     np.testing.assert_array_equal(own[[0, 1, 2, 7, 8, 9, 10, 11, 12]], [1, 2, 3, 1, 2, 3, *RATES])
-
-
-def test_a_start_at_singular_pitch_is_refused() -> None:
-    overrides = {"plant.kind": "rigid_body_6dof", "uavs[2].attitude_rad": [0, 1.5707963267, 0]}
-    scenario = load_scenario("paper_5", overrides)
-    plants = [plant_config(scenario, uav) for uav in scenario.uav_ids]
-    with pytest.raises(AttitudeError, match="singular"):
-        start_states(scenario, plants)

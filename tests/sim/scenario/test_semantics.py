@@ -19,6 +19,18 @@ FIXES = {"noise_m": 0.02, "rate_hz": 10}
         ("communication.delay_s", -0.1, "expected >= 0"),
         ("uavs[1].mass_scale", 0, "expected > 0"),
         ("uavs[1].mass_scale", 2.3, "more than the weight of UAV 2, 27.1 N"),
+        ("world.gravity_m_s2", 0, "world.gravity_m_s2: 0: expected more than 0"),
+        ("uavs[1].position_m", [465000, 5249000, 0], "uavs[1].position_m: [465000.0, 5249000.0"),
+        (
+            "leader.trajectory",
+            {"kind": "hover", "position_m": [465000, 5249000, 5]},
+            "leader.trajectory: [465000.0, 5249000.0, 5.0]: expected a place less than 1e+06 m",
+        ),
+        (
+            "mavlink.vehicles",
+            {2: {"connect": "udpin:0.0.0.0:99999"}},
+            'mavlink.vehicles.2.connect: "udpin:0.0.0.0:99999": expected udpin:ADDRESS:PORT',
+        ),
         ("plant.rigid_body.drag_1_s", -1, "expected >= 0"),
         ("communication.delay_s", "0.1 m", "expected the unit s"),
         ("communication.delay_s", 0.5, "less than communication.stale_s (0.5)"),
@@ -71,6 +83,20 @@ def test_what_cannot_be_is_refused_in_one_line(key: str, value: object, expected
         load_scenario("paper_5", {key: value})
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("plant.rigid_body.max_force_n", 1, "expected more than the weight, 11.8 N"),
+        ("uavs[2].max_force_n", 1, "uavs[2].max_force_n: 1: expected more than the weight of UAV"),
+        ("uavs[2].attitude_rad", [0, 1.5707963267, 0], "uavs[2].attitude_rad[1]: 1.5708: expected"),
+    ],
+)
+def test_a_rigid_body_that_cannot_fly_is_refused(key: str, value: object, expected: str) -> None:
+    with pytest.raises(PtnsbcError) as caught:
+        load_scenario("paper_5", {"plant.kind": "rigid_body_6dof", key: value})
+    assert expected in str(caught.value)
 
 
 def test_units_may_be_repeated() -> None:

@@ -138,3 +138,19 @@ def test_on_a_ring_every_follower_starts_opposite_to_its_place() -> None:
         for uav in scenario.followers:
             start = np.array(scenario.uav(uav).position) - leader
             assert start == pytest.approx(-scenario.offset(uav), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where"),
+    [
+        ("size: [7, 3]", "size: [7, 3]: expected [low, high], which ascend"),
+        ("starts: {sigma_m: [2, 1]}", "starts.sigma_m: [2.0, 1.0]: expected [low, high]"),
+        ("path: {kinds: [circle], radius_m: 0}", "path.radius_m"),
+        ("shape: {spacing_m: 0}", "shape.spacing_m"),
+        ("tree: {kinds: []}", "tree.kinds: []: expected at least one entry"),
+    ],
+)
+def test_a_range_from_which_nothing_can_be_drawn_is_named(keys: str, where: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        family_from_text(f"name: a\n{keys}")
+    assert where in str(caught.value)

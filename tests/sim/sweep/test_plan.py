@@ -114,6 +114,15 @@ def test_the_loop_flies_the_mission_of_a_draw_too() -> None:
     assert flown.formation.changes
 
 
+def test_no_sweep_is_endless() -> None:
+    with pytest.raises(SweepError, match="expected 2 to 10000 points"):
+        parse_axis(f"{KAPPA}=1:2:1000000000")
+    with pytest.raises(
+        SweepError, match="runs: 6000000 in 2 cells: expected 1 to 10000000 flights"
+    ):
+        plan_of(BASE, 6_000_000, axes=(parse_axis(f"{KAPPA}=1,2"),))
+
+
 def test_several_lists_make_a_grid_with_replicates() -> None:
     plan = plan_with(2, "plant.mass_kg=1.0,1.2", f"{KAPPA}=1:3:3")
     assert (plan.cells, plan.draws) == (6, 12)

@@ -11,7 +11,7 @@ from synthetic_flights import away, decay, verdict_of
 
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.constants import places_beside_leader
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording, Series, verdict_on
 from ptnsbc_sim.verdict.recording import absences, recording_of

@@ -17,8 +17,8 @@ from rich.text import Text
 
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.constants import places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Series
 from ptnsbc_sim.verdict.recording import recording_of

@@ -12,8 +12,8 @@ from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.bridge.ports import BridgeInputs
 from ptnsbc_nodes.bridge.procedure.hazards import FlightMonitor, LeaderReference, Sight
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.constants import places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Abort
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 
 LIMITS = Abort(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
 NOBODY, DT = np.empty((0, 7)), 0.02

@@ -12,8 +12,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.timebase import h
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.scenario.constants import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word, utc_time
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.scenario import scenario_from_text
 
 FORM = {"kind": "form", "over_s": 6, "stay_s": 1}

@@ -10,9 +10,10 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.timebase import h
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.scenario.constants import agent_config, leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.constants import agent_config, leader_trajectory
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word, is_cut_short
 from ptnsbc_sim.scenario.mission.pieces import at_knots, summed
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 
 EIGHT = {

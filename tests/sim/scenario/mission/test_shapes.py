@@ -9,7 +9,7 @@ import yaml
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, ScenarioError, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.constants import places_beside_leader
+from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 
 KINDS = ["v", "line", "column", "grid", "circle", "sphere"]

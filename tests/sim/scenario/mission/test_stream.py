@@ -13,6 +13,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     setpoints_of,
     streamed,
 )
+from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 
 BLOCK = SetpointTrajectory(
     kind="stream",
@@ -112,6 +113,15 @@ def test_what_cannot_be_followed_is_refused_and_the_path_goes_on(one, why):
     path = streamed(BLOCK, [still(0.5, (1, 0, 4))])
     with pytest.raises(SetpointError, match=why):
         going_on(path, one)
+
+
+def test_two_paths_to_one_setpoint_are_two():
+    last = still(1.0, (1, 0, 4))
+    alone, after = (
+        going_on(streamed(BLOCK, first), last) for first in ((), [still(0.5, (0, 1, 4))])
+    )
+    assert trajectory_of(alone) is alone.curve
+    assert trajectory_of(after) is after.curve
 
 
 def test_rows_of_a_file():
