@@ -118,9 +118,8 @@ def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
 
 def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int64]:
     """The rows (T, 2 + width + P) of one UAV."""
-    table = np.full(
-        (scenario.timing.ticks, 2 + width + scenario.communication.most_parents), -1, dtype=np.int64
-    )
+    parents = max(map(len, (scenario.communication.parents or {}).values()), default=0)
+    table = np.full((scenario.timing.ticks, 2 + width + parents), -1, dtype=np.int64)
     parent = scenario.communication.parent(uav)
     if parent is not None:
         table[:, 0] = _newest(scenario, STATE_LINK, uav, parent)
@@ -130,6 +129,5 @@ def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int
     for k, other in enumerate(scenario.topology.neighbours.get(uav, ())):
         table[:, 2 + k] = _newest(scenario, ESTIMATE_LINK, uav, other)
     for k, other in enumerate(scenario.communication.weights_of(uav)):
-        received = _newest(scenario, STATE_LINK, uav, other)
-        table[:, 2 + width + k] = received
+        table[:, 2 + width + k] = _newest(scenario, STATE_LINK, uav, other)
     return table

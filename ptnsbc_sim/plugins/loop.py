@@ -18,6 +18,7 @@ from ptnsbc_sim.plugins.formation_task import PluginTask
 from ptnsbc_sim.plugins.uav_plugins import Heard, UavLaw, UavPlugins
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.model import Plugins
 from ptnsbc_sim.tick import (
     SwarmState,
     advance_all,
@@ -76,8 +77,7 @@ class PluginLoop:
         Raises:
             PluginError: one cannot be loaded, or the scenario comes from a bag.
         """
-        named = scenario.plugins
-        return cls(scenario) if scenario.law or named.of_uav or named.of_world else None
+        return cls(scenario) if scenario.law or scenario.plugins != Plugins() else None
 
     def __call__(
         self, first: int, count: int, swarm: SwarmState, disturbances: Disturbances | None

@@ -242,11 +242,6 @@ class Communication(Block):
         return tuple(self.weights_of(uav_id)) or (() if parent is None else (parent,))
 
     @property
-    def most_parents(self) -> int:
-        """The largest number of parents of a UAV with several; 0 where each has one."""
-        return max(map(len, (self.parents or {}).values()), default=0)
-
-    @property
     def lossy(self) -> bool:
         """True if links lose or delay messages."""
         late = any(link.loss or link.delay_s for link in self.links)
@@ -411,16 +406,6 @@ class Plugins(Block):
     """Acceleration that acts on every UAV, besides the other disturbances."""
     sensor: FunctionName | None = None
     """Near-object sensor of every UAV."""
-
-    @property
-    def of_uav(self) -> bool:
-        """True if a function runs in the process of a UAV."""
-        return self.task is not None or self.controller is not None
-
-    @property
-    def of_world(self) -> bool:
-        """True if a function runs where the vehicles are simulated."""
-        return any(one is not None for one in (self.plant, self.disturbance, self.sensor))
 
 
 class ScenarioFile(Block):
