@@ -179,7 +179,7 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     rows = []
     for k in range(count):
         t = round(step_s * k, 9)
-        row = _numbers(_called(function, t, **arguments), (3, 4), function, f" at t = {t:g}")
+        row = _numbers(_called(function, t, arguments), (3, 4), function, f" at t = {t:g}")
         rows.append((t, *row))
     if len({len(row) for row in rows}) > 1:
         raise FunctionError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
@@ -208,8 +208,9 @@ def with_shape(tree: Tree, source: str) -> Tree:
     function = _function(block["kind"], "shape", Path.cwd(), where)
     arguments = {key: value for key, value in block.items() if key != "kind"}
     ids = [uav.get("id") for uav in uavs if isinstance(uav, dict)]
-    followers = [uav for uav in ids if uav != leader.get("id")]
-    places = _called(function, len(ids), **arguments)
+    # ids that do not fit together are named when the offsets are checked against them
+    followers = [uav for uav in ids if isinstance(uav, int) and uav != leader.get("id")]
+    places = _called(function, len(ids), arguments)
     if len(places) != len(ids):
         raise FunctionError(
             f"{place_of(function)}: {len(places)} places: expected one for each of {len(ids)} UAVs, "
@@ -218,7 +219,7 @@ def with_shape(tree: Tree, source: str) -> Tree:
     rows = [_numbers(place, (3,), function) for place in places]
     offsets = {
         uav: [coordinate - origin for coordinate, origin in zip(row, rows[0], strict=True)]
-        for uav, row in zip(followers, rows[1:], strict=True)
+        for uav, row in zip(followers, rows[1:], strict=False)
     }
     rest = {key: value for key, value in formation.items() if key != "shape"}
     return {**tree, "formation": {**rest, "offsets_m": offsets}}
@@ -288,10 +289,10 @@ def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
     return found
 
 
-def _called(function: FunctionType, *given: Any, **arguments: Any) -> list[Any]:
+def _called(function: FunctionType, given: float, arguments: Tree) -> list[Any]:
     """The list that a function of the user gives."""
     try:
-        return list(function(*given, **arguments))
+        return list(function(given, **arguments))
     except Exception as error:
         raise FunctionError(
             f"{place_of(function, error)}: {type(error).__name__}: {error}"

@@ -128,6 +128,9 @@ def test_the_file_beside_an_extended_scenario_counts(folder: Path) -> None:
         (trajectory("ring", ", speed: 3"), r"speed: unknown key"),
         (shape("few"), r"paths\.py:25: few: 1 places: expected one for each of 5 UAVs"),
         (shape("broken"), r"paths\.py:31: broken: IndexError"),
+        (trajectory("ring", ", arguments: {function: 1}"), r"paths\.py:5: ring: TypeError"),
+        (shape("row", ", 3: 4"), r"paths\.py:\d+: row: TypeError"),
+        (shape("row") + "leader: {id: 9}\n", "leader.id: 9: no such UAV"),
     ],
 )
 def test_errors_name_file_and_line(folder: Path, more: str, words: str) -> None:
