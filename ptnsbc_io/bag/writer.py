@@ -160,8 +160,7 @@ class _WriteGuard:
 
     A KeyboardInterrupt inside the MCAP library leaves half a record in the chunk, and the bag is unreadable from there
     on. Under full load that happened with a quarter of all Ctrl-C. The guard acts only where Python's default handler
-    would: in the main thread, when the program has no handler of its own, and without rclpy, whose handler in C must
-    stay in place.
+    would: in the main thread, when the program has no handler of its own, and rclpy has installed none in C.
     """
 
     def __init__(self, part: Path) -> None:
@@ -172,7 +171,9 @@ class _WriteGuard:
         """Replace Python's default handler of SIGINT."""
         default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
         main = threading.current_thread() is threading.main_thread()
-        if default and main and "rclpy" not in sys.modules:
+        rclpy = sys.modules.get("rclpy.signals")
+        ours = rclpy is None or rclpy.get_current_signal_handlers_options().name == "NO"
+        if default and main and ours:
             signal.signal(signal.SIGINT, self._on_signal)
             self._installed = True
 

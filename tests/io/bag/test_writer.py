@@ -297,6 +297,21 @@ ENDLESS = textwrap.dedent(
 )
 
 
+def test_ctrl_c_waits_for_a_record_unless_rclpy_handles_it(tmp_path):
+    """`simulate --bag` imports rclpy for its messages, and a record was cut by Ctrl-C."""
+    rclpy = pytest.importorskip("rclpy.signals")
+    options = rclpy.SignalHandlerOptions
+    for number, of_rclpy in enumerate((options.NO, options.SIGINT)):
+        rclpy.install_signal_handlers(of_rclpy)
+        try:
+            with BagWriter(tmp_path / str(number), TOPICS):
+                default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+                assert default == (of_rclpy is not options.NO)
+        finally:
+            rclpy.uninstall_signal_handlers()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 @pytest.mark.parametrize(("how", "after"), [(signal.SIGINT, 5_000), (signal.SIGKILL, 11_000)])
 def test_interrupted_process(tmp_path, how, after):
     process = subprocess.Popen(
