@@ -91,6 +91,12 @@ def test_two_flights_are_compared_uav_by_uav(made) -> None:
     assert not compare(made.flights(False), made.flights(True), margin_m=0.001).worse
 
 
+def test_a_uav_that_comes_later_by_the_plan_is_not_expected_in_place(made) -> None:
+    late = replace(made.ROW, uav=2, in_place=None)
+    found = compare(table_of([made.ROW, late]), table_of([made.ROW, late]), margin_m=0.0)
+    assert (found.in_place.a.count, found.in_place.a.of, found.uavs.a.of) == (1, 1, 2)
+
+
 def test_other_fleets_and_other_draws_are_refused(made) -> None:
     alone = table_of([made.ROW])
     with pytest.raises(ComparisonError, match="other UAVs"):
