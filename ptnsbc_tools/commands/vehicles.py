@@ -186,7 +186,7 @@ def _write(path: Path, base: str, keys: Mapping[str, Any], found: Identified) ->
 
 @dataclass(frozen=True)
 class StandIns:
-    """The vehicles that stand-in flight controllers have."""
+    """The vehicles that stand-in flight controllers have, and their links."""
 
     kind: Annotated[
         Literal["px4", "ardupilot", "generic"] | None,
@@ -233,11 +233,6 @@ class StandIns:
     ] = None
     seed: Annotated[int, option("--seed N", "Seed of errors, yaws and origins.", 0)] = 1
 
-
-@dataclass(frozen=True)
-class StandInLinks:
-    """The links of stand-in flight controllers."""
-
     port_base: Annotated[
         int | None,
         option(
@@ -269,7 +264,6 @@ class StandInLinks:
 
 def autopilot(
     stand_ins: StandIns,
-    links: StandInLinks,
     control: Annotated[int | None, option("--control PORT", "Port for faults.", 1, 65535)] = None,
     faults: Annotated[
         list[str] | None,
@@ -292,8 +286,8 @@ def autopilot(
     fleet = launch.Fleet(
         like.count, like.scenario, like.gnss, like.origin_spread, like.yaw, like.seed, like.battery
     )
-    address = launch.parse_address(links.gcs, "gcs") if links.gcs else None
-    network = launch.Network(links.port_base, links.connect, address, links.key)
+    address = launch.parse_address(like.gcs, "gcs") if like.gcs else None
+    network = launch.Network(like.port_base, like.connect, address, like.key)
     timed = [parse_timed_fault(text) for text in faults or ()]
     parameters = dict(launch.parse_parameter(text) for text in like.parameters or ())
     firmware = None if like.kind is None else launch.FIRMWARE[like.kind]
