@@ -89,17 +89,24 @@ make_venv() {
   say "$("$python" --version), requirements/$kind -> .venv"
   [ $kind = plain ] || site=(--system-site-packages)
   "$python" -m venv --clear "${site[@]}" .venv || die "could not make .venv with $python"
-  # uv installs a lock in a fifth of the time: the user's, or one of our own in .venv. Without it pip does everything.
-  command -v uv >/dev/null || "${pip[@]}" --require-hashes -r requirements/uv.lock 2>/dev/null || true
   printf '%s' "$mode" >.venv/.mode
 }
 
 # --no-deps: a lock is complete, there is nothing to resolve. Every file must have a hash of the lock.
 pip=(.venv/bin/python -m pip --quiet --disable-pip-version-check --no-input install --progress-bar off --no-deps)
+# uv installs a lock in a fifth of pip's time: the user's, or one that is kept only while this runs. Without it pip does all.
+find_uv() {
+  uv=$(command -v uv) && return
+  tools=$(mktemp -d)
+  trap 'rm -rf "$tools"' EXIT
+  "${pip[@]}" --target "$tools" --require-hashes -r requirements/uv.lock 2>/dev/null || true
+  uv=$tools/bin/uv
+}
+
 install() {
-  local uv
+  [ -n "${uv:-}" ] || find_uv
   export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-1}" UV_NATIVE_TLS="${UV_NATIVE_TLS:-1}"  # the computer's certificates, as pip's
-  if uv=$(command -v uv || command -v .venv/bin/uv); then
+  if [ -x "$uv" ]; then
     "$uv" pip install --quiet --no-progress --python .venv/bin/python --no-deps "$@" && return
     say "uv could not; trying pip"
   fi
@@ -109,6 +116,12 @@ install() {
 make_set() {
   local lock=requirements/$kind/$1.lock
   install --require-hashes -r "$lock" || die "$lock could not be installed (see above); repeat with: make setup"
+}
+
+# The wheels of ROS hold the same libraries up to eight times: 70 MB that equal files share.
+make_runtime() {
+  make_set runtime
+  ! command -v hardlink >/dev/null || hardlink --quiet --ignore-time .venv || true
 }
 
 make_project() {
@@ -135,7 +148,7 @@ if [ "$(cat .venv/.mode 2>/dev/null)" != "$mode" ] || ! .venv/bin/python -c '' 2
   make_venv
   parts+=("environment $SECONDS s")
 fi
-part runtime make_set "requirements/$kind/runtime.lock"
+part runtime make_runtime "requirements/$kind/runtime.lock"
 part project make_project pyproject.toml setup.py ros2_ws/shell.py
 for set in "$@"; do
   lock=requirements/$kind/$set.lock
@@ -148,4 +161,4 @@ for set in "$@"; do
     part messages make_messages "${sources[@]}"
   fi
 done
-[ ${#parts[@]} = 0 ] || say "done in $SECONDS s ($(IFS=,; echo "${parts[*]}" | sed 's/,/, /g'))"
+[ ${#parts[@]} = 0 ] || say "done in $SECONDS s ($(IFS=,; echo "${parts[*]}" | sed 's/,/, /g')); .venv has $(du -sm .venv | cut -f1) MB"
