@@ -10,7 +10,7 @@ if ! .venv/bin/python -m pip index versions empy >/dev/null 2>&1; then
   exit 0
 fi
 tags=()
-for tag in manylinux2014 manylinux_2_17 manylinux_2_26 manylinux_2_27 manylinux_2_28 manylinux_2_31 manylinux_2_34 manylinux_2_35 manylinux_2_39; do
+for tag in manylinux2014 manylinux_2_17 manylinux_2_24 manylinux_2_26 manylinux_2_27 manylinux_2_28 manylinux_2_31 manylinux_2_34 manylinux_2_35 manylinux_2_39; do
   tags+=(--platform "${tag}_aarch64")
 done
 .venv/bin/python -m pip install --quiet --dry-run --ignore-installed --no-deps --require-hashes --only-binary=:all: --no-binary=empy \

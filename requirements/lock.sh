@@ -14,7 +14,8 @@ lock() {
   resolve() { uv pip compile --quiet --universal --no-annotate --no-emit-index-url --python-version "$python" pyproject.toml "$@" >/dev/null; }
   cat "$folder"/*.lock >"$whole" 2>/dev/null || true  # versions stay where they can
   resolve "${runtime[@]/#/--extra=}" "${sets[@]/#/--extra=}" -c "$folder/limits.in" -o "$whole" "${upgrade[@]}"
-  resolve "${runtime[@]/#/--extra=}" -c "$whole" --generate-hashes -o "$folder/runtime.lock" --upgrade
+  # pymavlink requires lxml to generate dialects, which nothing here does.
+  resolve "${runtime[@]/#/--extra=}" -c "$whole" --no-emit-package=lxml --generate-hashes -o "$folder/runtime.lock" --upgrade
   mapfile -t added < <(sed -n 's/^\([A-Za-z0-9._-]*\)==.*/--no-emit-package=\1/p' "$folder/runtime.lock" | sort -u)
   for set in "${sets[@]}"; do
     resolve --extra="$set" -c "$whole" "${added[@]}" --generate-hashes -o "$folder/$set.lock" --upgrade

@@ -91,8 +91,8 @@ UBUNTU = {
 }
 """The rosdep keys of modules that Ubuntu 24.04 has; all other names are packages of ROS, or in the lock."""
 IN_THE_LOCK = {
-    "distributed", "llvmlite", "lz4", "mcap", "numba", "pyarrow", "pydantic", "pydantic_core",
-    "pymavlink", "rich", "rosbags", "typer", "websockets", "zstandard",
+    "arro3", "distributed", "llvmlite", "lz4", "mcap", "numba", "pyarrow", "pydantic",
+    "pydantic_core", "pymavlink", "rich", "rosbags", "typer", "websockets", "zstandard",
 }  # fmt: skip
 
 

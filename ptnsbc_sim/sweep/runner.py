@@ -24,7 +24,10 @@ from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from arro3.core import Array, DataType, Field, Schema, Table
+from arro3.io import read_parquet, write_parquet
 
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
@@ -35,10 +38,6 @@ from ptnsbc_sim.sweep.draws import SweepError
 from ptnsbc_sim.sweep.dry_run import dry_run_says
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values, drawn_values
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 
 CHUNK_DRAWS = 25
 """Draws of a chunk. A part of the format: a sweep is continued by its chunks, whoever flew them."""
@@ -109,30 +108,42 @@ def columns_of(plan: SweepPlan) -> tuple[ColumnKind, ...]:
 
 
 @lru_cache(maxsize=2)
-def schema(plan: SweepPlan) -> pa.Schema:
+def schema(plan: SweepPlan) -> Schema:
     """Columns of the table, units in the metadata of each, plan and versions in that of the file."""
-    import pyarrow as pa
-
-    types = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
+    types = {
+        "int": DataType.int64(),
+        "float": DataType.float64(),
+        "str": DataType.string(),
+        "bool": DataType.bool(),
+    }
     columns = [
-        pa.field(name, types[kind], metadata={"unit": unit} if unit else {})
+        Field(name, types[kind], metadata={"unit": unit} if unit else {})
         for name, kind, unit in columns_of(plan)
     ]
-    return pa.schema(
+    return Schema(
         columns, metadata={"ptnsbc.plan": plan.to_json(), "ptnsbc.made_by": made_by(plan)}
     )
 
 
+def read_table(data: bytes) -> Table:
+    """The table in a Parquet file; ValueError when the file is damaged."""
+    if len(data) < 12 or not data[:4] == data[-4:] == b"PAR1":
+        raise ValueError("the file is cut short")
+    try:
+        return read_parquet(BytesIO(data)).read_all()
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:  # the panic of arro3 at a damaged footer is no Exception
+        raise ValueError(str(error)) from None
+
+
 def made_by_others(chunk: Path, today: str) -> bool:
     """True if the flights in the file of a chunk were flown by other laws or library versions than `made_by` says."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
-        metadata = pq.read_schema(chunk).metadata or {}
-    except (OSError, pa.ArrowInvalid):  # a damaged file is nobody's
+        metadata = read_table(chunk.read_bytes()).schema.metadata_str
+    except (OSError, ValueError):  # a damaged file is nobody's
         return True
-    return metadata.get(b"ptnsbc.made_by") != today.encode()
+    return metadata.get("ptnsbc.made_by") != today
 
 
 def made_by(plan: SweepPlan) -> str:
@@ -153,37 +164,29 @@ def made_by(plan: SweepPlan) -> str:
 
 def _table(
     plan: SweepPlan, rows: Sequence[SweepRow], drawn: Sequence[Mapping[str, Value]]
-) -> pa.Table:
-    import pyarrow as pa
-
+) -> Table:
     cells = {"int": int, "float": float, "bool": bool, "str": str}
     arrays = []
-    for (name, kind, _), field in zip(columns_of(plan), schema(plan), strict=True):
+    for name, kind, _ in columns_of(plan):
         if name.startswith(DRAWN):
             given = [of.get(name.removeprefix(DRAWN)) for of in drawn]
             values = [None if value is None else cells[kind](value) for value in given]
         else:
             values = [getattr(row, name) for row in rows]
-        arrays.append(pa.array(values, field.type))
-    return pa.Table.from_arrays(arrays, schema=schema(plan))
+        arrays.append(Array(values, schema(plan).field(name).type))
+    return Table.from_arrays(arrays, schema=schema(plan))
 
 
-def _parquet(table: pa.Table) -> bytes:
-    import pyarrow.parquet as pq
-
+def _parquet(table: Table) -> bytes:
     out = BytesIO()
-    pq.write_table(table, out, compression="zstd")
+    write_parquet(table, out, compression="zstd(1)")
     return out.getvalue()
 
 
 def join_chunks(plan: SweepPlan, chunks: Iterable[bytes]) -> bytes:
     """The table of a sweep from its chunks, in their order."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    tables = [pq.read_table(BytesIO(chunk)) for chunk in chunks]
-    whole = pa.concat_tables(tables) if tables else schema(plan).empty_table()
-    return _parquet(whole.replace_schema_metadata(schema(plan).metadata))
+    batches = [batch for chunk in chunks for batch in read_table(chunk).to_batches()]
+    return _parquet(Table.from_batches(batches, schema=schema(plan)))
 
 
 PLAN, CHUNKS, TABLE = "plan.json", "chunks", "table.parquet"
@@ -345,10 +348,7 @@ def _fly(queue: _Queue, workers: int, scheduler: str | None) -> None:
             index = queue.waiting.popleft()
             queue.settle(index, partial(fly_chunk, queue.text, index))
     elif queue.waiting:
-        # Libraries and laws are loaded before the workers are forked: each worker has them at once.
-        import pyarrow.parquet  # noqa: F401
-
-        _table(queue.plan, [], [])
+        # The laws are loaded before the workers are forked: each worker has them at once.
         fly_draw(queue.plan, 0)  # in full: the kernels that judge an encounter are among them
         context = multiprocessing.get_context("fork")
         while queue.waiting:

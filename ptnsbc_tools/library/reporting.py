@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from arro3.core import Array, Field, Schema, Table
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
@@ -120,24 +121,20 @@ def export(source: Flight | Sweep, file: str | Path) -> Path:
 
     ExportError when there is no such format; OutputFileError when the file cannot be written.
     """
+    from arro3.io import write_csv, write_parquet
+
     path = checked(Path(file))
     table = table_of(source)
     with replacing(path, folder=True) as part:
         if path.suffix.lower() == ".csv":
-            import pyarrow.csv
-
-            pyarrow.csv.write_csv(table, part)
+            write_csv(table, part)
         else:
-            import pyarrow.parquet
-
-            pyarrow.parquet.write_table(table, part)
+            write_parquet(table, part, compression="zstd(1)")
     return path
 
 
-def table_of(source: Flight | Sweep) -> Any:
+def table_of(source: Flight | Sweep) -> Table:
     """An Arrow table: one row for each instant and UAV of a flight, or for each UAV and flight of a sweep."""
-    import pyarrow as pa
-
     columns: Iterable[tuple[str, str, NDArray[Any]]]
     if isinstance(source, Flight):
         columns, about = source.columns(), {"scenario": source.scenario.name}
@@ -146,17 +143,7 @@ def table_of(source: Flight | Sweep) -> Any:
         about = {"plan": source.plan.name}
     fields, arrays = [], []
     for name, unit, values in columns:
-        array = _column(np.ascontiguousarray(values))
-        fields.append(pa.field(name, array.type, metadata={"unit": unit}))
+        array = Array.from_numpy(np.ascontiguousarray(values))
+        fields.append(Field(name, array.type, metadata={"unit": unit}))
         arrays.append(array)
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=about))
-
-
-def _column(values: NDArray[Any]) -> Any:
-    """An Arrow array; `pyarrow.array` would import pandas where it is installed, for a third of a second."""
-    import pyarrow as pa
-
-    if values.dtype.kind not in "iuf":
-        return pa.array(values)
-    kind = pa.from_numpy_dtype(values.dtype)
-    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
+    return Table.from_arrays(arrays, schema=Schema(fields, metadata=about))

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from arro3.core import DataType
 from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
@@ -21,7 +23,7 @@ from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES, SweepError
 from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
-from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE
+from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE, read_table
 from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
 from ptnsbc_tools.tables import word
 
@@ -212,10 +214,6 @@ def read_sweep(folder: Path, *, strict: bool = False) -> FlownSweep:
 
     `strict`: UAVs that gave way and came late have missed.
     """
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     plan = plan_in(folder)
     path = folder / TABLE
     if not path.is_file():
@@ -223,47 +221,47 @@ def read_sweep(folder: Path, *, strict: bool = False) -> FlownSweep:
             f"{folder}: the sweep was ended early: expected {TABLE}; the command that began it continues"
         )
     try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
+        table = read_table(path.read_bytes())
+    except (OSError, ValueError) as error:
         raise SweepError(f"{path}: cannot be read: {error}") from None
     lacking = [field.name for field in fields(SweepRow) if field.name not in table.column_names]
     if lacking:
         raise SweepError(f"{path}: lacks the columns {', '.join(lacking)}: fly the sweep again")
     if not len(table):
         raise SweepError(f"{path}: holds no flight: fly the sweep again")
-    without = pc.equal(table["verdict"], NOT_FLOWN)
-    lost = tuple(
-        (row["draw"], row["cause"])
-        for row in table.filter(without).select(["draw", "cause"]).to_pylist()
-    )
-    table = table.filter(pc.invert(without))
-    if not len(table):
+    flown = [verdict != NOT_FLOWN for verdict in table["verdict"].to_pylist()]
+    rows = zip(table["draw"].to_pylist(), table["cause"].to_pylist(), flown, strict=True)
+    lost = tuple((draw, cause) for draw, cause, was_flown in rows if not was_flown)
+    if not any(flown):
         raise SweepError(f"{folder}: no draw could be flown: {lost[0][1]}")
-    columns = {name: _column(name, table.column(name)) for name in table.column_names}
+    columns = {
+        field.name: _column(
+            field.name,
+            [*compress(table[field.name].to_pylist(), flown)],
+            DataType.is_floating(field.type),
+        )
+        for field in map(table.field, table.column_names)
+    }
     for name in ("verdict", "flight_verdict") if strict else ():
         columns[name] = np.where(columns[name] == MET_LATE, MISSED, columns[name])
     return FlownSweep(plan, folder, FlightTable(columns), lost)
 
 
-def _column(name: str, column: Any) -> Column:
-    import pyarrow as pa
-
-    if not pa.types.is_floating(column.type):
-        return np.array(column.to_pylist())
-    values: Array = np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+def _column(name: str, values: Sequence[Any], floating: bool) -> Column:
+    if not floating:
+        return np.array(values)
+    column = np.array(values, np.float64)  # an empty cell becomes NaN
     if name in _INFINITE:
-        values[np.isnan(values) & ~np.asarray(column.is_null())] = np.inf
-    return values
+        column[[value is not None and value != value for value in values]] = np.inf
+    return column
 
 
 def table_of(rows: list[SweepRow]) -> FlightTable:
     """The rows of flights that were not flown by a sweep."""
-    import pyarrow as pa
-
-    columns: dict[str, Column] = {}
-    for field, *values in zip(fields(SweepRow), *(astuple(row) for row in rows), strict=True):
-        kind = pa.float64() if "float" in str(field.type) else None
-        columns[field.name] = _column(field.name, pa.array(values, kind))
+    columns = {
+        field.name: _column(field.name, values, "float" in str(field.type))
+        for field, *values in zip(fields(SweepRow), *(astuple(row) for row in rows), strict=True)
+    }
     return FlightTable(columns)
 
 

@@ -107,7 +107,7 @@ def test_a_folder_of_another_plan_is_refused(flown: Path, tmp_path: Path) -> Non
         run(small(), tmp_path, workers=1)
 
 
-@pytest.mark.parametrize("damage", ["other laws", "cut short"])
+@pytest.mark.parametrize("damage", ["other laws", "cut short", "overwritten"])
 def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
     tmp_path: Path, damage: str
 ) -> None:
@@ -120,7 +120,10 @@ def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
         metadata = {**table.schema.metadata, b"ptnsbc.made_by": json.dumps(made_by).encode()}
         pq.write_table(table.replace_schema_metadata(metadata), chunk)
     else:
-        chunk.write_bytes(chunk.read_bytes()[:-5])
+        data = chunk.read_bytes()
+        chunk.write_bytes(
+            data[:-5] if damage == "cut short" else data[:-40] + bytes(30) + data[-10:]
+        )
     with pytest.raises(SweepError, match="other laws"):
         run(plan, tmp_path, workers=1)
 
