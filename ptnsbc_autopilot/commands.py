@@ -76,6 +76,8 @@ def _arm(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int
     if vehicle.armed:
         return int(_DONE)
     problem = vehicle.arming_problem(t)
+    if vehicle.faults.deny_arming:
+        problem = "Arming denied by a fault"
     if problem is not None and not force:
         vehicle.send_text(f"{vehicle.refusal_text}: {problem}", t)
         return vehicle.refusal
@@ -88,6 +90,15 @@ def _set_interval(vehicle: StandInVehicle, request: Request, link: int, t: float
     if message_id not in BUILDERS:
         return int(_FAILED)
     vehicle.streams[link].set_interval(message_id, request.params[1], t)
+    return int(_DONE)
+
+
+def _run_prearm_checks(vehicle: StandInVehicle, _request: Request, _link: int, t: float) -> int:
+    """The checks run all the time: what is asked for is the text."""
+    if vehicle.armed:
+        return int(_LATER)
+    if problem := vehicle.arming_problem(t):
+        vehicle.send_text(f"{vehicle.refusal_text}: {problem}", t)
     return int(_DONE)
 
 
@@ -132,6 +143,7 @@ Command = Callable[[StandInVehicle, Request, int, float], int]
 
 COMMANDS: dict[int, Command] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
     **dict.fromkeys(FLY, lambda vehicle, request, _, t: vehicle.fly(request, t)),
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,

@@ -47,7 +47,9 @@ def _radio(vehicle: StandInVehicle, word: str, _t: float) -> None:
 
 
 def _arming(vehicle: StandInVehicle, word: str, _t: float) -> None:
-    vehicle.faults.refuse_arming = not _choice(word, "refuse", "allow", "arming")
+    if word not in ("refuse", "deny", "allow"):
+        raise AutopilotError(f"fault arming {word!r}: expected refuse, deny or allow")
+    vehicle.faults.refuse_arming, vehicle.faults.deny_arming = word == "refuse", word == "deny"
 
 
 def _takeoff(vehicle: StandInVehicle, word: str, _t: float) -> None:

@@ -68,6 +68,7 @@ class Faults:
     no_heartbeat: bool = False
     mute: bool = False  # neither sends nor answers, and flies on
     refuse_arming: bool = False
+    deny_arming: bool = False  # though all its checks pass
     takeoff_detected: bool = False  # armed on the ground, it takes itself for flying
     duplicate: bool = False  # a second sender uses the same system id
 

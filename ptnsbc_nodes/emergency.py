@@ -19,11 +19,11 @@ import stat
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
@@ -36,9 +36,8 @@ _LARGEST_FILE = 1 << 16  # [bytes]
 _LARGEST_ORDER = 256  # [bytes]
 _LOOK_S = 0.5
 _RECORD_SUFFIX = ".vehicle.json"
-# What the status of a bridge says of its vehicle as well: texts, and what is true or false.
-_TEXTS = ("step", "fault", "mode", "place", "order")
-_FLAGS = ("armed", "heard", "landed", "in_pilots_hands")
+# What the status of a bridge says of its vehicle as well.
+_STATUS = ("step", "fault", "mode", "place", "order", "armed", "heard", "landed", "in_pilots_hands")
 
 
 class RuntimeFolderError(PtnsbcError):
@@ -165,11 +164,7 @@ class OrderPort:
     ) -> None:
         """Open the socket.
 
-        Args:
-            folder: the runtime folder of the domain.
-            name: of the bridge.
-            take: stores an order; called in the thread of the port.
-            state: the answer, a record as bytes.
+        `name`: of the bridge; `take` stores an order, in the thread of the port; `state`: the answer, a record.
 
         Raises:
             RuntimeFolderError: the socket cannot be opened.
@@ -177,8 +172,6 @@ class OrderPort:
         self._path = socket_path(folder, name)
         self._take, self._state = take, state
         self._open = True
-        self.broken = 0
-        """Datagrams that were no order."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self._path.unlink(missing_ok=True)  # of a bridge of this name that was killed
@@ -214,7 +207,6 @@ class OrderPort:
             if order is not None:
                 self._take(order)
             elif data.strip():
-                self.broken += 1
                 continue
             if sender:
                 with suppress(OSError):  # who asked may be gone
@@ -288,8 +280,8 @@ class VehicleRecord:
 
     @property
     def _where(self) -> str:
-        armed = "armed" if self.armed else "disarmed"
-        on_ground = ", on the ground" if self.landed else ""
+        armed, rotors = ("armed", ", rotors turning") if self.armed else ("disarmed", "")
+        on_ground = f", on the ground{rotors}" if self.landed else ""
         place = f" at {self.place}" if self.place else ""
         return f"{armed}{on_ground}{place} in {self.mode or 'no mode'}"
 
@@ -311,32 +303,25 @@ class VehicleRecord:
     @property
     def status(self) -> dict[str, str]:
         """The values of a status that `reported` reads."""
-        return {name: str(getattr(self, name)) for name in _TEXTS} | {
-            name: str(getattr(self, name)).lower() for name in _FLAGS
-        }
+        values = {name: getattr(self, name) for name in _STATUS}
+        return {name: str(v).lower() if v in (True, False) else v for name, v in values.items()}
 
     def encode(self) -> bytes:
-        """As `parse_record` reads it."""
+        """As `decode_record` reads it."""
         return json.dumps(asdict(self)).encode()
 
 
 _TYPES = get_type_hints(VehicleRecord)
 
 
-def parse_record(found: object) -> VehicleRecord | None:
-    """A record from decoded JSON; None when it is not one."""
-    if not isinstance(found, dict):
-        return None
-    if not all(isinstance(found.get(name), kind) for name, kind in _TYPES.items()):
-        return None
-    return VehicleRecord(**{name: found[name] for name in _TYPES})
-
-
 def decode_record(data: bytes) -> VehicleRecord | None:
     """A record from bytes; None when it is not one."""
     try:
-        return parse_record(json.loads(data))
-    except (ValueError, RecursionError):
+        values = json.loads(data)
+        if not all(isinstance(values[name], kind) for name, kind in _TYPES.items()):
+            return None
+        return VehicleRecord(**{name: values[name] for name in _TYPES})
+    except (KeyError, TypeError, ValueError, RecursionError):
         return None
 
 
@@ -354,9 +339,9 @@ def write_record(folder: Path, record: VehicleRecord) -> None:
 def records(folder: Path) -> Iterator[VehicleRecord]:
     """All records of the folder, by name; broken ones are left out."""
     for path in sorted(folder.glob(f"*{_RECORD_SUFFIX}")):
-        found = parse_record(read_json(path))
-        if found is not None:
-            yield found
+        with suppress(OSError):
+            if (record := decode_record(path.read_bytes())) is not None:
+                yield record
 
 
 def forget_dead(folder: Path) -> None:
@@ -368,11 +353,22 @@ def forget_dead(folder: Path) -> None:
 
 def last_word(folder: Path, name: str) -> str:
     """Place and present action of a vehicle whose bridge has ended; empty when it is not armed or not known."""
-    record = parse_record(read_json(record_path(folder, name)))
-    if record is None or not record.armed:
-        return ""
-    fate = f": {record.fate}" if record.fate else ""
-    return f"its vehicle was {record.state}{fate}; ptnsbc stop reaches it past its bridge"
+    for record in records(folder):
+        if record.name == name and record.armed:
+            fate = f": {record.fate}" if record.fate else ""
+            return f"its vehicle was {record.state}{fate}; ptnsbc stop reaches it past its bridge"
+    return ""
+
+
+def summary(folder: Path, names: Collection[str]) -> str:
+    """One line after the flight: where the vehicles of these bridges are, who is armed, and what to do; or nothing."""
+    states, armed = [], []
+    for each in (record for record in records(folder) if record.name in names):
+        states.append(f"{each.name} {each.state}{f': {each.fate}' if each.fate else ''}")
+        armed += [each.name] if each.armed else []
+    advice = f"keep away from {', '.join(armed)}: a pilot lands it, or ptnsbc stop"
+    text = f"after the flight: {'; '.join(states)}: {advice if armed else 'all disarmed'}"
+    return text if states else ""
 
 
 def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
@@ -383,6 +379,6 @@ def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
 
 def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
     """The record of a vehicle, as its bridge on any host reports it now."""
-    texts = {key: values.get(key, "") for key in _TEXTS}
-    flags = {key: values.get(key) == "true" for key in _FLAGS}
-    return VehicleRecord(name, 0, 0, "", "", written_s=time.time(), **texts, **flags)  # type: ignore[arg-type]
+    texts = {key: values.get(key, "") for key in _STATUS}
+    known: dict[str, Any] = {k: v == "true" if _TYPES[k] is bool else v for k, v in texts.items()}
+    return VehicleRecord(name, 0, 0, "", "", written_s=time.time(), **known)

@@ -34,29 +34,21 @@ class MavlinkParameterError(PtnsbcError):
     """A parameter has an unknown type."""
 
 
-class Encoding(Enum):
-    """The encoding of integers."""
-
-    BYTEWISE = "bytewise"
-    C_CAST = "C cast"
-
-
-def decoded(raw: bytes, kind: int, encoding: Encoding) -> float:
-    """The value of four raw bytes of `param_value`, of MAV_PARAM_TYPE `kind`."""
-    if kind in _INTEGERS and encoding is Encoding.BYTEWISE:
-        return float(struct.unpack(_INTEGERS[kind], raw)[0])
+def decoded(message: Any, *, bytewise: bool) -> float:
+    """The value of a PARAM_VALUE; `bytewise`: integers travel as their bytes, else as a float of the same value."""
+    kind, data = message.param_type, bytes(message.get_msgbuf())
     if kind not in _INTEGERS and kind != mavlink.MAV_PARAM_TYPE_REAL32:
         raise MavlinkParameterError(
             f"parameter of type {kind}: expected REAL32 or an integer of 32 bits"
         )
-    return float(struct.unpack("<f", raw)[0])
+    # The four bytes as they were sent: a float in between may change the bits of a NaN.
+    at, form = 10 if data[0] == V2 else 6, _INTEGERS.get(kind, "<f") if bytewise else "<f"
+    return float(struct.unpack(form, data[at : at + 4].ljust(4, b"\0"))[0])
 
 
-def raw_value(message: Any) -> bytes:
-    """The four bytes of `param_value` as they were sent: a float in between may change NaN bits."""
-    data: bytes = bytes(message.get_msgbuf())
-    at = 10 if data[0] == V2 else 6
-    return data[at : at + 4].ljust(4, b"\0")
+def current_name(name: str) -> tuple[str, float]:
+    """The name of a parameter in the newest version, and the unit of its value there."""
+    return _OLD_NAMES.get(name, (name, 1.0))
 
 
 class ParameterReader:
@@ -66,16 +58,16 @@ class ParameterReader:
     answer a parameter counts as missing.
     """
 
-    def __init__(self, names: Sequence[str], encoding: Encoding) -> None:
-        self._encoding = encoding
+    def __init__(self, names: Sequence[str], *, bytewise: bool) -> None:
+        self._bytewise = bytewise
         self._requests = dict.fromkeys(names, 0)
         self._next_s = dict.fromkeys(names, 0.0)
         self.values: dict[str, float] = {}
 
     @property
     def missing(self) -> list[str]:
-        """Names without an answer."""
-        return [name for name in self._requests if name not in self.values]
+        """Names without an answer; of an old and a new name one is enough."""
+        return [name for name in self._requests if current_name(name)[0] not in self.values]
 
     def done(self, now_s: float) -> bool:
         """True if every name is answered or given up."""
@@ -96,13 +88,13 @@ class ParameterReader:
     def on_param_value(self, message: Any) -> None:
         """Store a PARAM_VALUE if it was requested; only the first answer counts, and none that is no number."""
         name = str(message.param_id)
-        if self._requests.get(name) and name not in self.values:
-            value = decoded(raw_value(message), message.param_type, self._encoding)
+        current, unit = current_name(name)
+        if self._requests.get(name) and current not in self.values:
+            value = unit * decoded(message, bytewise=self._bytewise)
             if math.isfinite(value):
-                self.values[name] = value
+                self.values[current] = value
 
 
-_CENTI = 0.01
 _DEGREE = 0.017453292519943295
 _THRUST_AS_THRUST = 8  # bit 3 of GUID_OPTIONS
 
@@ -117,12 +109,23 @@ class FlightMode(Enum):
     TAKEOFF = "takeoff"
     OTHER = "other"  # for example flown by a pilot
 
+    @classmethod
+    def named(cls, name: str) -> FlightMode:
+        """By the name that an autopilot has for it."""
+        return _MODES.get(name, cls.OTHER)
 
-class ModeNumbers(NamedTuple):
-    """`param2` and `param3` of MAV_CMD_DO_SET_MODE."""
 
-    main: int
-    sub: int
+_MODES = {
+    "OFFBOARD": FlightMode.OWN,
+    "GUIDED": FlightMode.OWN,
+    "HOLD": FlightMode.HOLD,
+    "BRAKE": FlightMode.HOLD,
+    "LAND": FlightMode.LAND,
+    "PRECLAND": FlightMode.LAND,
+    "RTL": FlightMode.RETURN,
+    "SMART_RTL": FlightMode.RETURN,
+    "TAKEOFF": FlightMode.TAKEOFF,
+}
 
 
 class SetpointLimits(NamedTuple):
@@ -144,8 +147,10 @@ class Rates(Enum):
     """The body rates that an autopilot uses beside an attitude."""
 
     ALL = "all"
-    HEADING = "heading"  # the yaw rate alone, about the vertical
-    HEADING_BY_ALL = "heading by all"  # all three or none; the frame depends on the version
+    HEADING = "heading"  # PX4: the yaw rate alone, about the vertical
+    HEADING_BY_ALL = (
+        "heading by all"  # ArduCopter: all three or none; the frame depends on the version
+    )
 
 
 class Autopilot(NamedTuple):
@@ -154,60 +159,60 @@ class Autopilot(NamedTuple):
     name: str
     number: int  # MAV_AUTOPILOT
     own_mode: str  # name of the mode that follows setpoints
-    modes: Mapping[ModeNumbers, FlightMode]
+    modes: Mapping[tuple[int, int], str]  # names by main and sub mode; `-`: none
     packed: bool  # custom_mode holds main in its third byte and sub in its fourth
-    encoding: Encoding
+    bytewise: bool  # of the integers among its parameters
     earth_radius_m: float  # of its local projection
     stream_first: bool  # its mode needs setpoints before and during, and it takes off by one; else by NAV_TAKEOFF
     attitude_only: bool
     rates: Rates
     parameters: tuple[str, ...]
 
-    def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
-        """The mode in a HEARTBEAT."""
+    def mode_name(self, base_mode: int, custom_mode: int) -> str:
+        """The name of the mode in a HEARTBEAT."""
         if self.attitude_only and base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED:
-            return FlightMode.OWN
-        numbers = ModeNumbers(custom_mode, 0)
+            return self.own_mode
+        numbers = (custom_mode, 0)
         if self.packed:
-            numbers = ModeNumbers(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
-        return self.modes.get(numbers, FlightMode.OTHER)
+            numbers = (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
+        return self.modes.get(numbers, f"custom_mode {custom_mode}")
 
-    def mode_numbers(self, mode: FlightMode) -> ModeNumbers:
-        """The numbers with which to request a mode."""
-        return next(numbers for numbers, known in self.modes.items() if known is mode)
+    def mode_numbers(self, mode: FlightMode) -> tuple[int, int]:
+        """Main and sub mode with which to request a mode: `param2` and `param3` of MAV_CMD_DO_SET_MODE."""
+        return next(
+            numbers for numbers, name in self.modes.items() if FlightMode.named(name) is mode
+        )
 
 
-_SHAPING = (
-    ("PSC_NE_POS_P", "PSC_POSXY_P"),
-    ("PSC_NE_VEL_P", "PSC_VELXY_P"),
-    ("PSC_NE_VEL_I", "PSC_VELXY_I"),
-    ("PSC_NE_VEL_D", "PSC_VELXY_D"),
-    ("PSC_JERK_NE", "PSC_JERK_XY"),
+_OLD_NAMES: Mapping[str, tuple[str, float]] = {
+    "WPNAV_SPEED": ("WP_SPD", 0.01),
+    "WPNAV_SPEED_UP": ("WP_SPD_UP", 0.01),
+    "WPNAV_SPEED_DN": ("WP_SPD_DN", 0.01),
+    "WPNAV_ACCEL": ("WP_ACC", 0.01),
+    "ANGLE_MAX": ("ATC_ANGLE_MAX", 0.01),
+    "PSC_POSXY_P": ("PSC_NE_POS_P", 1.0),
+    "PSC_VELXY_P": ("PSC_NE_VEL_P", 1.0),
+    "PSC_VELXY_I": ("PSC_NE_VEL_I", 1.0),
+    "PSC_VELXY_D": ("PSC_NE_VEL_D", 1.0),
+    "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
+}
+"""Parameters of ArduCopter before 4.7: their names since, and the unit of an old value in that of a new one."""
+_PX4_MAIN = "- MANUAL ALTCTL POSCTL - ACRO OFFBOARD STABILIZED"
+_PX4_AUTO = "- READY TAKEOFF HOLD MISSION RTL LAND - FOLLOW PRECLAND"
+_ARDUCOPTER = (
+    "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE - LAND - DRIFT - SPORT FLIP AUTOTUNE POSHOLD BRAKE THROW "
+    "AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE RATE_ACRO"
 )
-_ALTERNATIVES = (
-    ("WP_SPD", "WPNAV_SPEED"),
-    ("WP_SPD_UP", "WPNAV_SPEED_UP"),
-    ("WP_SPD_DN", "WPNAV_SPEED_DN"),
-    ("WP_ACC", "WPNAV_ACCEL"),
-    ("ATC_ANGLE_MAX", "ANGLE_MAX"),
-    *_SHAPING,
-)
-"""New and old names of the parameters of ArduCopter."""
-_PX4_AUTO = 4
 PX4 = Autopilot(
     name="px4",
     number=mavlink.MAV_AUTOPILOT_PX4,
     own_mode="OFFBOARD",
     modes={
-        ModeNumbers(6, 0): FlightMode.OWN,
-        ModeNumbers(_PX4_AUTO, 3): FlightMode.HOLD,
-        ModeNumbers(_PX4_AUTO, 6): FlightMode.LAND,
-        ModeNumbers(_PX4_AUTO, 9): FlightMode.LAND,  # precision landing
-        ModeNumbers(_PX4_AUTO, 5): FlightMode.RETURN,
-        ModeNumbers(_PX4_AUTO, 2): FlightMode.TAKEOFF,
+        **{(n, 0): name for n, name in enumerate(_PX4_MAIN.split())},
+        **{(4, n): name for n, name in enumerate(_PX4_AUTO.split())},
     },
     packed=True,
-    encoding=Encoding.BYTEWISE,
+    bytewise=True,
     earth_radius_m=6371000.0,
     stream_first=True,
     attitude_only=False,
@@ -222,22 +227,16 @@ ARDUPILOT = Autopilot(
     name="ardupilot",
     number=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
     own_mode="GUIDED",
-    modes={
-        ModeNumbers(4, 0): FlightMode.OWN,
-        ModeNumbers(17, 0): FlightMode.HOLD,  # BRAKE
-        ModeNumbers(9, 0): FlightMode.LAND,
-        ModeNumbers(6, 0): FlightMode.RETURN,
-        ModeNumbers(21, 0): FlightMode.RETURN,  # SMART_RTL
-    },
+    modes={(n, 0): name for n, name in enumerate(_ARDUCOPTER.split())},
     packed=False,
-    encoding=Encoding.C_CAST,
+    bytewise=False,
     earth_radius_m=6378100.0,
     stream_first=False,
     attitude_only=False,
     rates=Rates.HEADING_BY_ALL,
     parameters=(
         "GUID_TIMEOUT", "GUID_OPTIONS", "MOT_THST_HOVER", "FS_EKF_ACTION", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT",
-        "ATC_INPUT_TC", *(name for names in _ALTERNATIVES for name in names),
+        "ATC_INPUT_TC", *_OLD_NAMES, *(name for name, _ in _OLD_NAMES.values()),
     ),
 )  # fmt: skip
 GENERIC = Autopilot(
@@ -246,7 +245,7 @@ GENERIC = Autopilot(
     own_mode="GUIDED",
     modes={},
     packed=False,
-    encoding=Encoding.C_CAST,
+    bytewise=False,
     earth_radius_m=6371000.0,
     stream_first=True,
     attitude_only=True,
@@ -256,40 +255,31 @@ GENERIC = Autopilot(
 AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC)}
 
 
-def missing_parameters(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
-    """Expected parameters without an answer; of an old and a new name one is enough."""
-    answered = [names for names in _ALTERNATIVES if any(name in values for name in names)]
-    known = {*values, *(name for names in answered for name in names)}
-    return [name for name in autopilot.parameters if name not in known]
-
-
 def limits(values: Mapping[str, float]) -> SetpointLimits:
     """The limits of the vehicle from its parameters, for any autopilot."""
 
-    def lowest(*names: str, centi: str) -> float:
-        known = [values[name] for name in names if name in values]
-        known += [values[centi] * _CENTI] if centi in values else []
-        return min((value for value in known if value > 0.0), default=math.inf)
+    def lowest(*names: str) -> float:
+        return min(
+            (values[name] for name in names if values.get(name, 0.0) > 0.0), default=math.inf
+        )
 
     return SetpointLimits(
-        lowest("MPC_XY_VEL_MAX", "WP_SPD", centi="WPNAV_SPEED"),
-        lowest("MPC_Z_VEL_MAX_UP", "WP_SPD_UP", centi="WPNAV_SPEED_UP"),
-        lowest("MPC_Z_VEL_MAX_DN", "WP_SPD_DN", centi="WPNAV_SPEED_DN"),
-        lowest("MPC_ACC_HOR_MAX", "WP_ACC", centi="WPNAV_ACCEL"),
-        lowest("MPC_TILTMAX_AIR", "ATC_ANGLE_MAX", centi="ANGLE_MAX") * _DEGREE,
+        lowest("MPC_XY_VEL_MAX", "WP_SPD"),
+        lowest("MPC_Z_VEL_MAX_UP", "WP_SPD_UP"),
+        lowest("MPC_Z_VEL_MAX_DN", "WP_SPD_DN"),
+        lowest("MPC_ACC_HOR_MAX", "WP_ACC"),
+        lowest("MPC_TILTMAX_AIR", "ATC_ANGLE_MAX") * _DEGREE,
     )
 
 
-_PX4_WITHOUT_SETPOINTS: Mapping[int, str] = {
-    0: "needs a remote control (COM_OBL_RC_ACT=0), and sinks and drifts without one",
-    1: "needs a remote control (COM_OBL_RC_ACT=1), and sinks and drifts without one",
-    2: "needs a remote control (COM_OBL_RC_ACT=2), and sinks and drifts without one",
-    3: "returns and lands (COM_OBL_RC_ACT=3)",
-    4: "lands (COM_OBL_RC_ACT=4)",
-    5: "hovers until somebody lands it or its battery is low (COM_OBL_RC_ACT=5)",
-    6: "stops its motors (COM_OBL_RC_ACT=6)",
-    7: "stops its motors (COM_OBL_RC_ACT=7)",
-}
+_PX4_WITHOUT_SETPOINTS = (
+    *["needs a remote control, and sinks and drifts without one"] * 3,
+    "returns and lands",
+    "lands",
+    "hovers until somebody lands it or its battery is low",
+    *["stops its motors"] * 2,
+)
+"""By COM_OBL_RC_ACT."""
 
 
 def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) -> str:
@@ -303,20 +293,17 @@ def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) ->
     if mode is FlightMode.OTHER:
         return "its pilot flies it"
     if autopilot is PX4:
-        action = values.get("COM_OBL_RC_ACT")
-        known = None if action is None else _PX4_WITHOUT_SETPOINTS.get(int(action))
-        return f"without setpoints it {known or 'acts as COM_OBL_RC_ACT says'}"
+        action = int(values.get("COM_OBL_RC_ACT", -1.0))
+        if 0 <= action < len(_PX4_WITHOUT_SETPOINTS):
+            known = _PX4_WITHOUT_SETPOINTS[action]
+            return f"without setpoints it {known} (COM_OBL_RC_ACT={action})"
+        return "without setpoints it acts as COM_OBL_RC_ACT says"
     if autopilot is ARDUPILOT:
         return (
             f"it keeps its velocity for {values.get('GUID_TIMEOUT', 3.0):g} s (GUID_TIMEOUT), then hovers in GUIDED "
             "until somebody lands it or its battery is low"
         )
     return "its own failsafe acts"
-
-
-def hover_thrust(values: Mapping[str, float]) -> float | None:
-    """Normalised thrust at hover, where the vehicle has a parameter for it."""
-    return values.get("MPC_THR_HOVER", values.get("MOT_THST_HOVER"))
 
 
 def advice(values: Mapping[str, float], rate_hz: float) -> Iterator[str]:
@@ -350,8 +337,7 @@ def findings(autopilot: Autopilot, values: Mapping[str, float], rate_hz: float) 
     """The lines of the log about the parameters that were read."""
     for name, value in values.items():
         yield f"{name} = {value:g}"
-    missing = missing_parameters(autopilot, values)
-    if missing:
+    if missing := [name for name in autopilot.parameters if current_name(name)[0] not in values]:
         yield f"not answered: {' '.join(missing)}"
     for line in advice(values, rate_hz):
         yield f"warning: {line}"
@@ -398,13 +384,10 @@ def velocity_response(autopilot: Autopilot, values: Mapping[str, float]) -> Velo
             tilt_s = (_PX4_TILT / values["MC_ROLL_P"], _RATE_LOOP_S)
             response = VelocityResponse(gain, integral, derivative, 0.0, None, tilt_s)
         elif autopilot is ARDUPILOT:
-            known = (values[new] if new in values else values[old] for new, old in _SHAPING)
-            position_gain, gain, integral, derivative, jerk = known
-            acceleration = values["WP_ACC"] if "WP_ACC" in values else 0.01 * values["WPNAV_ACCEL"]
+            gain, integral, derivative = (values[f"PSC_NE_VEL_{part}"] for part in "PID")
+            position_gain, jerk = values["PSC_NE_POS_P"], values["PSC_JERK_NE"] / values["WP_ACC"]
             tilt_s = (values["ATC_INPUT_TC"], _ARDUPILOT_TILT_S + _RATE_LOOP_S)
-            response = VelocityResponse(
-                gain, integral, derivative, position_gain, jerk / acceleration, tilt_s
-            )
+            response = VelocityResponse(gain, integral, derivative, position_gain, jerk, tilt_s)
         else:
             return None
     except (KeyError, ZeroDivisionError):

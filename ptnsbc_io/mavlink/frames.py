@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.types import Array
@@ -62,17 +63,7 @@ def quaternion_enu_flu_to_ned_frd(xyzw: Array) -> Array:
 
 def quaternion_from_euler_ned(roll: float, pitch: float, yaw: float) -> Array:
     """Attitude (4,) w x y z from the angles [rad] of the ATTITUDE message, FRD in NED; NaN where one is not finite."""
-    half = 0.5 * np.array([roll, pitch, yaw])
-    with np.errstate(invalid="ignore"):
-        (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+    return np.asarray(Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_quat(scalar_first=True))
 
 
 def offset_enu(place: GeoPoint, reference: GeoPoint, earth_radius_m: float) -> Array:

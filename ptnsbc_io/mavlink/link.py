@@ -13,7 +13,6 @@ import select
 import time
 from collections import Counter
 from collections.abc import Iterator
-from enum import Enum
 from typing import Any, NamedTuple
 
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -172,17 +171,17 @@ _ADDRESS_TIMEOUT_S = 3.0
 _MOST_PER_POLL = 200  # packets; a flood must not delay the setpoint stream
 
 
-class Dropped(Enum):
-    """The reason why a packet was dropped; the values are names of counters."""
-
-    MALFORMED = "malformed"  # no frame, wrong checksum, impossible length
-    TRUNCATED = "truncated"
-    OTHER_SYSID = "other_sysid"
-    OTHER_COMPONENT = "other_component"
-    UNSIGNED = "unsigned"
-    WRONG_SIGNED = "wrong_signed"
-    REPLAYED = "replayed"
-    OTHER_ADDRESS = "other_address"  # the same system id from a second address
+_DROPPED = (
+    "malformed",  # no frame, wrong checksum, impossible length
+    "truncated",
+    "other_sysid",
+    "other_component",
+    "unsigned",
+    "wrong_signed",
+    "replayed",
+    "other_address",  # the same system id from a second address
+)
+"""Reasons why a packet was dropped."""
 
 
 class MavlinkLink:
@@ -205,7 +204,7 @@ class MavlinkLink:
         self._peer_time_s = 0.0
         self.duplicate_sysid_s: float | None = None
         """Time of the last message from a second sender with the same system id; None without any."""
-        self.counts: Counter[str] = Counter({reason.value: 0 for reason in Dropped})
+        self.counts: Counter[str] = Counter(dict.fromkeys(_DROPPED, 0))
         self.ignored: frozenset[int] = frozenset()
         """Wanted messages that carry nothing new at present: they are not decoded either."""
         self.received = 0
@@ -233,7 +232,7 @@ class MavlinkLink:
                 return
             for piece in self._framer.feed(packet.data):
                 if isinstance(piece, BrokenFrame):
-                    self._drop(Dropped.TRUNCATED if piece.truncated else Dropped.MALFORMED)
+                    self.counts["truncated" if piece.truncated else "malformed"] += 1
                     continue
                 message = self._accept(piece, packet.sender, now_s)
                 if message is not None:
@@ -253,14 +252,13 @@ class MavlinkLink:
         """Close the port."""
         self._transport.close()
 
-    def _drop(self, reason: Dropped) -> None:
-        self.counts[reason.value] += 1
-
     def _accept(self, frame: Frame, sender: Address | None, now_s: float) -> Any:
         if frame.sysid != self._sysid:
-            return self._drop(Dropped.OTHER_SYSID)
+            self.counts["other_sysid"] += 1
+            return None
         if frame.compid != AUTOPILOT_COMPONENT:
-            return self._drop(Dropped.OTHER_COMPONENT)
+            self.counts["other_component"] += 1
+            return None
         if not self._is_authentic(frame, sender, now_s):
             return None
         if frame.message_id not in self._wanted or frame.message_id in self.ignored:
@@ -277,17 +275,17 @@ class MavlinkLink:
         if signer is None:
             return True
         if not frame.signed:
-            self._drop(Dropped.UNSIGNED)
+            self.counts["unsigned"] += 1
             # PX4 begins with MAVLink 1 and changes to signed MAVLink 2 when it receives that. So we
             # send to an unsigned address first; an address alone gives no control of the vehicle.
             if self.peer is None and self._decode(frame) is not None:
                 self.peer, self._peer_time_s = sender, now_s - _ADDRESS_TIMEOUT_S
             return False
         if not signer.has_valid_signature(frame):
-            self._drop(Dropped.WRONG_SIGNED)
+            self.counts["wrong_signed"] += 1
             return False
         if not signer.is_new(frame):
-            self._drop(Dropped.REPLAYED)
+            self.counts["replayed"] += 1
             return False
         return True
 
@@ -299,7 +297,8 @@ class MavlinkLink:
             message = self._decoder.decode(bytearray(frame.data))
             if message.get_msgId() == frame.message_id and message.get_type() != "UNKNOWN":
                 return message
-        return self._drop(Dropped.MALFORMED)
+        self.counts["malformed"] += 1
+        return None
 
     def _is_from_peer(self, sender: Address | None, now_s: float) -> bool:
         """True if the sender has the address of the vehicle; after 3 s of silence a new address is taken."""
@@ -310,5 +309,5 @@ class MavlinkLink:
             self.peer, self._peer_time_s = sender, now_s
             return True
         self.duplicate_sysid_s = now_s
-        self._drop(Dropped.OTHER_ADDRESS)
+        self.counts["other_address"] += 1
         return False

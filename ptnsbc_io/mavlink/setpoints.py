@@ -19,15 +19,6 @@ _IGNORE_VECTOR = tuple(
     for axes in (("X", "Y", "Z"), ("VX", "VY", "VZ"), ("AX", "AY", "AZ"))
 )
 """Bits of SET_POSITION_TARGET_LOCAL_NED without position, velocity and acceleration."""
-_IGNORE_RATES = {
-    # PX4 ignores roll and pitch rates beside an attitude, and takes the yaw rate about the vertical.
-    Rates.HEADING: mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
-    | mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE,
-    # ArduCopter drops a target that has only some of the three rates. Some of its versions turn the rates
-    # into the world frame, and some do not.
-    Rates.HEADING_BY_ALL: 0,
-    Rates.ALL: 0,
-}
 _32_BITS = 0xFFFFFFFF
 
 
@@ -74,18 +65,21 @@ class SetpointMessages:
 
     def attitude_target(self, now_s: float, target: AttitudeTarget) -> Any:
         """SET_ATTITUDE_TARGET, with the rates as this autopilot reads them."""
-        rates = target.rates
-        if self._rates is not Rates.ALL:
-            up = rotation_from_quaternion(target.quaternion)[2]
-            turn = float(up @ rates)  # about the vertical, positive to the left
-            # Such a turn is the same in the world frame, and nearly the same in a body near level.
-            by_heading = self._rates is Rates.HEADING
-            rates = np.array([0.0, 0.0, turn]) if by_heading else turn * up
+        rates, mask = target.rates, 0
+        up = rotation_from_quaternion(target.quaternion)[2]
+        turn = float(up @ rates)  # about the vertical, positive to the left
+        if self._rates is Rates.HEADING:
+            mask = mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
+            mask |= mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
+            rates = np.array([0.0, 0.0, turn])
+        elif self._rates is Rates.HEADING_BY_ALL:
+            # Some versions turn the rates into the world frame: there, and in a body near level, this is the same.
+            rates = turn * up
         return mavlink.MAVLink_set_attitude_target_message(
             round(now_s * 1e3) & _32_BITS,
             self._sysid,
             AUTOPILOT_COMPONENT,
-            _IGNORE_RATES[self._rates],
+            mask,
             frames.quaternion_enu_flu_to_ned_frd(target.quaternion).tolist(),
             *frames.vector_flu_to_frd(rates).tolist(),
             target.thrust,

@@ -31,7 +31,6 @@ class TimeSync:
         self._requested_ns: deque[int] = deque(maxlen=_WINDOW)
         self._first_s: float | None = None
         self._jump_samples = 0
-        self.jumps = 0
         self.answers = 0
 
     @property
@@ -65,7 +64,6 @@ class TimeSync:
             if self._jump_samples < _JUMP_SAMPLES:
                 return False
             self.reset()
-            self.jumps += 1
         self._jump_samples = 0
         self._trips.append((trip_s, offset_s))
         return True

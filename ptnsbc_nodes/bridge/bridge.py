@@ -18,7 +18,6 @@ from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
     AWAY_S,
     BEFORE_ARMING,
-    LIFTED_M,
     Companion,
     Step,
     Stream,
@@ -110,8 +109,8 @@ class Bridge:
     @property
     def fate(self) -> str:
         """The behaviour of the armed vehicle when this bridge is silent."""
-        stands = self.procedure.highest_m < LIFTED_M
-        return "it stands on the ground, its rotors turn" if stands else self.maintenance.fate
+        on_ground = "it stands on the ground, its rotors turn"
+        return on_ground if self.procedure.stands else self.maintenance.fate
 
     def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
@@ -164,7 +163,7 @@ class Bridge:
             publisher.controller.on_message(data)
         self.watch.reference.update(inputs)
         while inputs.companions:
-            self.placement.companions.report(*inputs.companions.pop(0))
+            self.placement.report(*inputs.companions.pop(0))
         self.maintenance.ignore_repetitions(now_s)
         publisher.update_world()
         if (values := self.maintenance.take_parameters(now_s)) is not None:
@@ -212,7 +211,7 @@ class Bridge:
         leg, leaves = self.watch.reference.leg(now_ns), self.watch.reference.leaves(now_ns)
         order, told_apart = inputs.order, inputs.order.what == APART
         rival_s, percent = self.link.duplicate_sysid_s, self._mavlink.battery_land_percent
-        low = f"battery at {vehicle.battery.percent or 0.0:.0f} %, below {percent:g}"
+        low = f"battery at {vehicle.battery.newest.percent or 0.0:.0f} %, below {percent:g}"
         unhealthy = "" if vehicle.armed or not vehicle.unhealthy else vehicle.unhealthy
         words = (
             maintenance.commands.refused,
@@ -251,11 +250,12 @@ class Bridge:
             below=placement.below(inputs.near_uavs) if leaves or step is Step.APART else "",
             pilots_too=order.pilots_too,
             unfit=self.stream.fit.unfit,
+            unready=vehicle.unready,
             misplaced=placement.misplaced() if before_arming else "",
-            not_ready=placement.companions.not_ready(now_s),
-            not_armed=placement.companions.not_armed(now_s),
+            not_ready=placement.not_ready(now_s),
+            not_armed=placement.not_armed(now_s),
             climbs_first=placement.climbs_first() if before_arming or step is Step.ARMED else "",
-            companion_out=placement.companions.out(),
+            companion_out=placement.out(),
             vehicle_warning=", ".join(filter(None, words)),
             left_behind=f"armed{place} in {vehicle.mode_name or 'no mode'}: {self.fate}",
         )

@@ -10,9 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
@@ -37,7 +35,7 @@ from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.bridge.status import RecordKeeper, bridge_status, companion
+from ptnsbc_nodes.bridge.status import OrderDesk, bridge_status, companion
 from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
@@ -47,16 +45,7 @@ from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
-from ptnsbc_nodes.emergency import (
-    APART,
-    LAND,
-    Order,
-    OrderPort,
-    RuntimeFolderError,
-    latch,
-    latched,
-    runtime_folder,
-)
+from ptnsbc_nodes.emergency import APART, LAND, Order, RuntimeFolderError, runtime_folder
 from ptnsbc_nodes.runtime.environment import named_domain
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
@@ -132,49 +121,6 @@ class _TopicPorts(BridgePorts):
 
     def log(self, line: str) -> None:
         print(f"bridge{self._uav_id}: {line}", file=sys.stderr, flush=True)
-
-
-class OrderDesk:
-    """The orders of the operator to one bridge, and the vehicle's record that answers them."""
-
-    def __init__(
-        self, endpoints: Endpoints, scenario: Scenario, uav_id: int, bridge: Bridge, key: str
-    ) -> None:
-        self._ports = bridge.ports
-        self._folder: Path | None = None
-        self._port: OrderPort | None = None
-        try:
-            self._folder = runtime_folder(named_domain(), endpoints.fleet)
-            self.record = RecordKeeper(bridge, scenario, uav_id, key, self._folder)
-            self._port = OrderPort(
-                self._folder, self.record.name, self.on_order, self.record.encode
-            )
-            held = latched(self._folder)
-        except RuntimeFolderError as error:
-            self._ports.log(f"warning: no local path for ptnsbc stop: {error}")
-            self.record = RecordKeeper(bridge, scenario, uav_id, key, self._folder)
-            held = Order()
-        if held.what:  # an order that still holds from before
-            bridge.procedure.fail(
-                f"the operator's order {held.text!r} still holds: ptnsbc stop --clear releases it"
-            )
-            self._ports.inputs.take(held)
-        self.record.keep()
-        endpoints.listen(topics.EMERGENCY, decode_order, self.on_order, required=False)
-
-    def on_order(self, order: Order) -> None:
-        """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
-        if self._ports.inputs.take(order):
-            self._ports.log(f"emergency: {order.text}")
-            if self._folder is not None and order.what != APART:
-                with suppress(OSError):
-                    latch(self._folder, order)
-
-    def close(self) -> None:
-        """Leave word of the vehicle, and take no orders any more."""
-        self.record.keep(ended=True)
-        if self._port is not None:
-            self._port.close()
 
 
 class FleetReports:
@@ -278,7 +224,13 @@ class BridgeNode:
         self.endpoints.last_word = self._publish_status
         self._reports = FleetReports(self.endpoints, scenario, uav_id, ports)
         self._subscribe(scenario, uav_id)
-        self.orders = OrderDesk(self.endpoints, scenario, uav_id, self.bridge, options.signing_key)
+        desk = partial(OrderDesk, self.bridge, scenario, uav_id, options.signing_key)
+        try:
+            self.orders = desk(runtime_folder(named_domain(), self.endpoints.fleet))
+        except RuntimeFolderError as error:
+            ports.log(f"warning: no local path for ptnsbc stop: {error}")
+            self.orders = desk(None)
+        self.endpoints.listen(topics.EMERGENCY, decode_order, self.orders.on_order, required=False)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         self._leaving = False
@@ -364,12 +316,13 @@ class BridgeNode:
             self._reports.close()
         if procedure.step is Step.APART:
             self._ports.apart()  # again, for a bridge that has just met this one
-        if (battery := self.bridge.vehicle.battery.newest) is not None:
+        battery = self.bridge.vehicle.battery.newest
+        if any(figure is not None for figure in battery):
             self._ports.battery(battery)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        record, missing = self.orders.record.keep(), self.waiting_for()
+        record, missing = self.orders.keep(), self.waiting_for()
         self._send_status(
             bridge_status(
                 self._name, record, self.bridge, missing, self.endpoints, self._status_log

@@ -28,6 +28,12 @@ _TRUTH_HZ = {  # a real vehicle refuses it
 }
 
 
+def companion_heartbeat() -> Any:
+    """The sign of life of a companion."""
+    kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
+
+
 class Commands:
     """COMMAND_LONG messages for one vehicle."""
 
@@ -49,6 +55,8 @@ class Commands:
                     return self._mode(FlightMode.OWN, autopilot.own_mode)
                 base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
                 return self._long(mavlink.MAV_CMD_DO_SET_MODE, autopilot.own_mode, base)
+            case CommandRequest.CHECK:  # not every autopilot knows it
+                return self._long(mavlink.MAV_CMD_RUN_PREARM_CHECKS, "")
             case CommandRequest.ARM:  # a PX4 must be in OFFBOARD
                 return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", 1.0)
             case CommandRequest.DISARM:  # on the ground
@@ -93,10 +101,9 @@ class Commands:
         self.refused = f"{name}: {result.removeprefix('MAV_RESULT_')}"
 
     def _mode(self, mode: FlightMode, name: str) -> Any:
-        numbers = self._autopilot.mode_numbers(mode)
-        custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-        main, sub = float(numbers.main), float(numbers.sub)
-        return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, custom, main, sub)
+        custom = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        numbers = map(float, (custom, *self._autopilot.mode_numbers(mode)))
+        return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, *numbers)
 
     def _long(self, command: int, name: str, *parameters: float) -> Any:
         """COMMAND_LONG; an unnamed command is a question, whose refusal is nothing to tell."""

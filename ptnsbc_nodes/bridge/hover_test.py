@@ -33,9 +33,9 @@ from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     inverse,
     largest_kappa_1_s,
 )
-from ptnsbc_nodes.bridge.status import RecordKeeper
+from ptnsbc_nodes.bridge.status import OrderDesk
 from ptnsbc_nodes.comm.legs import FIRST_LEG
-from ptnsbc_nodes.emergency import LAND, Order, OrderPort, latched, runtime_folder
+from ptnsbc_nodes.emergency import LAND, Order, latched, runtime_folder
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.scenario import Scenario, agent_config, scenario_from_text
@@ -117,11 +117,9 @@ class Excitation:
         return bool(np.abs(away).max() > 0.5 * self.box_m)
 
     def points(self, sent: Array, flown: Array) -> list[FrequencyPoint]:
-        """The response at each frequency.
+        """The response at each frequency, to `sent` (N, 2): time since the start [s] and velocity along x [m/s].
 
-        Args:
-            sent: (N, 2) time since the start [s] and velocity along x [m/s] of each setpoint.
-            flown: (M, 2) the same of each state of the vehicle.
+        `flown` (M, 2) has the same of each state of the vehicle.
 
         Raises:
             TuneError: the vehicle moved too much by itself.
@@ -486,20 +484,15 @@ def fly_hover_test(
         clocks = time.monotonic, time.time_ns
         test = HoverTest(scenario, uav, link, *clocks, log, allow_arming=allow_arming, box_m=box_m)
         environment.prefer_punctuality()
-        keeper = RecordKeeper(test.bridge, scenario, uav, path, folder)
-        port = OrderPort(folder, keeper.name, test.inputs.take, keeper.encode)
-        try:
-            with StopRequest() as request:
-                while not test.over:
-                    link.wait(_WAIT_S)
-                    test.serve()
-                    if request.count > 1:
-                        raise KeyboardInterrupt
-                    if request.came:
-                        test.land()
-                    keeper.keep()
+        desk = OrderDesk(test.bridge, scenario, uav, path, folder)
+        with closing(desk), StopRequest() as request:
+            while not test.over:
+                link.wait(_WAIT_S)
+                test.serve()
+                if request.count > 1:
+                    raise KeyboardInterrupt
+                if request.came:
+                    test.land()
+                desk.keep()
             test.bridge.leave()
-        finally:
-            port.close()
-            keeper.keep(ended=True)
     return test.identified()

@@ -15,7 +15,7 @@ from ptnsbc_io.mavlink.autopilots import (
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
 from ptnsbc_io.mavlink.timesync import TimeSync
-from ptnsbc_nodes.bridge.commands import Commands
+from ptnsbc_nodes.bridge.commands import Commands, companion_heartbeat
 from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 from ptnsbc_sim.scenario.mavlink import VehicleLink
 
@@ -40,7 +40,8 @@ class LinkMaintenance:
         self._vehicle = vehicle
         self.commands = Commands(vehicle.autopilot, settings.sysid)
         self.sync = TimeSync()
-        self._parameters = ParameterReader(vehicle.autopilot.parameters, vehicle.autopilot.encoding)
+        autopilot = vehicle.autopilot
+        self._parameters = ParameterReader(autopilot.parameters, bytewise=autopilot.bytewise)
         self.parameters_read = False
         self.urgent = False
         """True if the vehicle's state is asked for more often than it comes: HEARTBEAT comes once a second."""
@@ -103,9 +104,7 @@ class LinkMaintenance:
         send = self.link.send
         vehicle = self._vehicle
         if healthy and self._is_due("heartbeat", now_s, _HEARTBEAT_S):
-            kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-            state = mavlink.MAV_STATE_ACTIVE
-            send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
+            send(companion_heartbeat())
         if vehicle.heartbeat_s is None and not vehicle.unconfirmed:
             return
         fast = clock_jumped or self.sync.answers < _FAST_ANSWERS

@@ -47,10 +47,7 @@ class NearObjects:
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
         """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the detection range.
 
-        Args:
-            now_s: time of `on_odometry`.
-            position: (3,) own position [m].
-            mission_s: time since the first epoch [s], negative before it: moving obstacles stand still then.
+        `position` (3,) is its own [m], `mission_s` counts from the first epoch: before it moving obstacles stand still.
         """
         rows = self._known(now_s, self._avoided)
         away = rows[:, 0:3] - position

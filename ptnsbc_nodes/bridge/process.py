@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -78,31 +78,26 @@ def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, mana
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 
         def configure() -> BridgeNode:
+            try:
+                from ptnsbc_nodes.bridge.bridge import open_link
+                from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
+            except ImportError as error:
+                missing = f"{error.name} is not installed: install the extra [mavlink]"
+                raise BridgeError(missing) from None
+            scenario, uav = parameters.scenario, parameters.uav
+            if scenario.plant.kind != "quadrotor":
+                raise BridgeError(
+                    f"{scenario.source}: plant.kind: {scenario.plant.kind}: expected quadrotor, "
+                    "the only plant that flight controllers fly here"
+                )
+            settings = scenario.vehicle_link(uav)
+            key = str(parameters["signing_key"] or settings.signing_key or "")
+            link, edges = open_link(settings, key), CommunicationGraph(scenario, parameters.options)
             # A bridge that is started by hand may be the only one.
-            lifetime.bridge = _open(node, parameters, lifetime.end, with_fleet=managed)
+            options = BridgeOptions(parameters["allow_arming"], with_fleet=managed, signing_key=key)
+            lifetime.bridge = BridgeNode(node, scenario, uav, edges, link, options, lifetime.end)
             return lifetime.bridge
 
         node.assign(configure, lifetime.land_or_end)
         code = serve_managed([node], lifetime, autostart=parameters["autostart"] and not managed)
         return code if lifetime.bridge is None else code or lifetime.bridge.exit_code
-
-
-def _open(
-    node: ManagedNode, parameters: NodeParameters, end: Callable[[str], None], *, with_fleet: bool
-) -> BridgeNode:
-    scenario, uav = parameters.scenario, parameters.uav
-    try:
-        from ptnsbc_nodes.bridge.bridge import open_link
-        from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
-    except ImportError as error:
-        raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
-    settings = scenario.vehicle_link(uav)
-    if scenario.plant.kind != "quadrotor":
-        raise BridgeError(
-            f"{scenario.source}: plant.kind: {scenario.plant.kind}: expected quadrotor, "
-            "the only plant that flight controllers fly here"
-        )
-    key = str(parameters["signing_key"] or settings.signing_key or "")
-    link, edges = open_link(settings, key), CommunicationGraph(scenario, parameters.options)
-    options = BridgeOptions(parameters["allow_arming"], with_fleet, key)
-    return BridgeNode(node, scenario, uav, edges, link, options, end)

@@ -154,9 +154,7 @@ class StatePublisher:
         self.odometry, self.sampled_s = odometry, min(sampled_s, now_s)
         stamp_ns = self._ports.ros_ns()
         if 0 <= self._stamp_ns - stamp_ns < _JUMP_BACK_NS:
-            stamp_ns = (
-                self._stamp_ns + _STEP_NS
-            )  # later than the last, unless the clock was set back
+            stamp_ns = self._stamp_ns + _STEP_NS  # later, unless the clock was set back
         self._stamp_ns, self._published_s = stamp_ns, now_s
         published = PublishedOdometry(self.sampled_s, now_s, odometry)
         self.controller.remember(stamp_ns, published)

@@ -1,4 +1,4 @@
-"""The status of a bridge on /diagnostics: step, fault, link counters and latency."""
+"""What a bridge says of its vehicle: to the operator's orders, and as its status on /diagnostics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ from ptnsbc_nodes.comm.diagnostics import (
     readiness,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.emergency import VehicleRecord, write_record
+from ptnsbc_nodes.emergency import (
+    APART,
+    Order,
+    OrderPort,
+    VehicleRecord,
+    latch,
+    latched,
+    write_record,
+)
 from ptnsbc_sim.scenario import Scenario
 
 _NEVER_S = 1e6
@@ -38,25 +46,44 @@ _STATES: Mapping[Step, SafetyState] = {
 }
 
 
-class RecordKeeper:
-    """Keeps the record of a vehicle in the runtime folder: at most a second old, and a change is there at once."""
+class OrderDesk:
+    """The orders of the operator to one bridge on this host, and the vehicle's record that answers them.
+
+    The file of the record is at most a second old, and a change is there at once.
+    """
 
     def __init__(
         self, bridge: Bridge, scenario: Scenario, uav_id: int, signing_key: str, folder: Path | None
     ) -> None:
-        """`signing_key`: path of the key file; `folder`: None keeps no file."""
+        """Open the port. `signing_key`: path of the key file; `folder`: None without a folder for orders.
+
+        Raises:
+            RuntimeFolderError: the port cannot be opened.
+        """
         link = scenario.vehicle_link(uav_id)
-        self.name = f"bridge{uav_id}"  # without a namespace: the folder is the fleet's own
+        name = f"bridge{uav_id}"  # without a namespace: the folder is the fleet's own
+        key = str(Path(signing_key).resolve()) if signing_key else ""
         self._fixed = VehicleRecord(
-            self.name,
-            os.getpid(),
-            link.sysid,
-            link.autopilot,
-            link.connect,
-            signing_key=str(Path(signing_key).resolve()) if signing_key else "",
+            name, os.getpid(), link.sysid, link.autopilot, link.connect, signing_key=key
         )
         self._bridge, self._folder = bridge, folder
         self._kept, self._kept_s = self._fixed, -math.inf
+        self._port = OrderPort(folder, name, self.on_order, self.encode) if folder else None
+        held = latched(folder) if folder else Order()
+        if held.what:  # an order that still holds from before
+            bridge.procedure.fail(
+                f"the operator's order {held.text!r} still holds: ptnsbc stop --clear releases it"
+            )
+            bridge.ports.inputs.take(held)
+        self.keep()
+
+    def on_order(self, order: Order) -> None:
+        """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
+        if self._bridge.ports.inputs.take(order):
+            self._bridge.ports.log(f"emergency: {order.text}")
+            if self._folder is not None and order.what != APART:
+                with suppress(OSError):
+                    latch(self._folder, order)
 
     def encode(self) -> bytes:
         """The record of now as the answer to an order."""
@@ -73,6 +100,12 @@ class RecordKeeper:
                 write_record(self._folder, record)
         return record
 
+    def close(self) -> None:
+        """Leave word of the vehicle, and take no orders any more."""
+        self.keep(ended=True)
+        if self._port is not None:
+            self._port.close()
+
 
 def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
     """The knowledge of this bridge about its vehicle now; `fixed` has the part that does not change."""
@@ -87,7 +120,7 @@ def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
         order=bridge.ports.inputs.order.text,
         heard=landed or silence_s < HEARTBEAT_LOST_S,
         armed=vehicle.armed,
-        landed=bool(vehicle.landed),
+        landed=bool(vehicle.landed) or (vehicle.armed and procedure.stands),
         in_pilots_hands=procedure.in_pilots_hands,
         mode=vehicle.mode_name,
         place=bridge.placement.text,
@@ -108,7 +141,7 @@ def bridge_status(
     safety = assess(_concerns(bridge, missing, endpoints))
     log.note(safety.level, safety.reason)
     procedure, vehicle, link, stream = bridge.procedure, bridge.vehicle, bridge.link, bridge.stream
-    state, report, battery = bridge.state_publisher, bridge.report, vehicle.battery.percent
+    state, report, battery = bridge.state_publisher, bridge.report, vehicle.battery.newest.percent
     age_s = state.controller.age_s(bridge.ports.steady_s())
     following, latency, sync = stream.following.found(), stream.latency, bridge.maintenance.sync
     attitude = stream.attitude if stream.sends_thrust(Stream.PLANNER) else None
@@ -155,7 +188,7 @@ def bridge_status(
 
 
 def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concern]:
-    """The concerns that the procedure of a vehicle raises; none while the flight goes as planned."""
+    """The concerns of a step, and of a `fault` that still counts; none while the flight goes as planned."""
     state = _STATES.get(step, SafetyState.NOMINAL)
     if step in (Step.FLY, Step.HELD) and stream is Stream.HOLD:
         late, away = "the setpoints of the controller are late", "its controller is away"
@@ -172,7 +205,7 @@ def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concer
 def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> Iterator[Concern]:
     """The reasons for the safety state of the bridge: its step of the flight, missing topics, refused messages."""
     procedure, warn = bridge.procedure, DiagnosticLevel.WARN
-    yield from procedure_concern(procedure.step, procedure.output.stream, procedure.fault)
+    yield from procedure_concern(procedure.step, procedure.output.stream, procedure.concern)
     if fault := bridge.state_publisher.fault(bridge.ports.steady_s()):
         yield Concern(SafetyState.DEGRADED, warn, fault)
     if missing:

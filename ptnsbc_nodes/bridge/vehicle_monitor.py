@@ -232,28 +232,11 @@ def true_odometry(message: Any, position: Array) -> Array | None:
 
 _NO_VOLTAGE = 65535  # UINT16_MAX: not sent
 _FIX_3D = 3
-_FIXES = {
-    1: "none",
-    2: "2D",
-    _FIX_3D: "3D",
-    4: "DGPS",
-    5: "RTK float",
-    6: "RTK fixed",
-    7: "static",
-    8: "PPP",
-}
+_FIXES = ("", "none", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
-_MULTIROTORS = (
-    mavlink.MAV_TYPE_GENERIC,
-    mavlink.MAV_TYPE_QUADROTOR,
-    mavlink.MAV_TYPE_COAXIAL,
-    mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR,
-    mavlink.MAV_TYPE_TRICOPTER,
-    mavlink.MAV_TYPE_DODECAROTOR,
-    mavlink.MAV_TYPE_DECAROTOR,
-)
+_ROTORS = "GENERIC QUADROTOR COAXIAL HEXAROTOR OCTOROTOR TRICOPTER DODECAROTOR DECAROTOR"
+_MULTIROTORS = [getattr(mavlink, f"MAV_TYPE_{name}") for name in _ROTORS.split()]
 
 
 class Battery(NamedTuple):
@@ -275,17 +258,13 @@ class BatteryMonitor:
     """The newest figures of the battery, and since when it is low."""
 
     def __init__(self) -> None:
-        self.newest: Battery | None = None
+        self.newest = Battery()
         self._low = Lasting()
-
-    @property
-    def percent(self) -> float | None:
-        """The remaining charge."""
-        return None if self.newest is None else self.newest.percent
 
     def below(self, percent: float, now_s: float) -> bool:
         """True if the charge has been below `percent` for some seconds."""
-        low = self.percent is not None and self.percent < percent
+        left = self.newest.percent
+        low = left is not None and left < percent
         return self._low.update(low, now_s) >= _LOW_BATTERY_S
 
     def on_status(self, message: Any) -> None:
@@ -295,14 +274,14 @@ class BatteryMonitor:
         self.newest = Battery(
             volts * _MILLI if 0 < volts < _NO_VOLTAGE else None,
             amperes * _CENTI if amperes >= 0 else None,
-            float(percent) if 0 <= percent <= 100 else self.percent,
+            float(percent) if 0 <= percent <= 100 else self.newest.percent,
         )
 
     def on_cells(self, message: Any) -> None:
         """BATTERY_STATUS: its share counts; voltage and current are those of SYS_STATUS."""
         if 0 <= message.battery_remaining <= 100:
             percent = float(message.battery_remaining)
-            self.newest = (self.newest or Battery())._replace(percent=percent)
+            self.newest = self.newest._replace(percent=percent)
 
 
 class GnssMonitor:
@@ -322,7 +301,7 @@ class GnssMonitor:
         """GPS_RAW_INT."""
         if message.h_acc > 0:
             self.error_m = message.h_acc * _MILLI
-        self.fix = _FIXES.get(message.fix_type, "")
+        self.fix = _FIXES[message.fix_type] if message.fix_type < len(_FIXES) else ""
         fixed = message.fix_type >= _FIX_3D
         self._had_fix = self._had_fix or fixed
         self._without_fix.update(not fixed, now_s)
@@ -336,9 +315,10 @@ class VehicleMonitor:
         self.autopilot = autopilot
         self.heartbeat_s: float | None = None
         self.wrong_vehicle = ""  # why this is not the expected vehicle
-        self.mode = FlightMode.OTHER
         self.mode_name = ""
         self.armed = False
+        self._state: int | None = None  # MAV_STATE
+        self._prearm_failed = False  # by SYS_STATUS
         self.landed: bool | None = None
         self.anchor: Anchor | None = None
         self.warning = ""  # newest STATUSTEXT that is a warning or an error
@@ -348,12 +328,26 @@ class VehicleMonitor:
         self.pose = Pose(signed=signed)
         self._signed = signed
         self._confirmed: Mapping[str, ConfirmedValue] = defaultdict(ConfirmedValue)
-        self._booting = False
         self._chunks: dict[int, str] = {}
 
     def heartbeat_age_s(self, now_s: float) -> float:
         """Infinite before the first HEARTBEAT."""
         return float("inf") if self.heartbeat_s is None else now_s - self.heartbeat_s
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode, as far as the bridge distinguishes them."""
+        return FlightMode.named(self.mode_name)
+
+    @property
+    def unready(self) -> str:
+        """The reason why it would refuse to arm, as its HEARTBEAT or its SYS_STATUS says; empty where neither does."""
+        if self._prearm_failed:
+            return "its pre-arm check fails"
+        # A controller without a pre-arm check may leave the state uninitialised for ever.
+        checked = not self.autopilot.attitude_only and not self.armed
+        ready = self._state in (None, mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
+        return f"MAV_STATE {self._state}: expected STANDBY" if checked and not ready else ""
 
     @property
     def rebooted(self) -> bool:
@@ -364,7 +358,7 @@ class VehicleMonitor:
         clock, heartbeat_s = self.pose.clock, self.heartbeat_s
         restarted_s = clock.restarted_s
         if self.armed or restarted_s is None or heartbeat_s is None or heartbeat_s < restarted_s:
-            return self._booting and clock.young
+            return self._state == mavlink.MAV_STATE_BOOT and clock.young
         return True
 
     @property
@@ -388,12 +382,9 @@ class VehicleMonitor:
         if not self._believes("heartbeat", value):
             return
         self.heartbeat_s = now_s
-        self._booting = m.system_status == mavlink.MAV_STATE_BOOT
+        self._state = m.system_status
         self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.mode = autopilot.mode(m.base_mode, m.custom_mode)
-        own = self.mode is FlightMode.OWN
-        other = f"{self.mode.value} (custom_mode {m.custom_mode})"
-        self.mode_name = autopilot.own_mode if own else other
+        self.mode_name = autopilot.mode_name(m.base_mode, m.custom_mode)
         self.wrong_vehicle = ""
         if m.autopilot != autopilot.number:
             names = {known.number: known.name for known in AUTOPILOTS.values()}
@@ -428,6 +419,7 @@ class VehicleMonitor:
         self.battery.on_status(message)
         bits = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
         bits &= ~message.onboard_control_sensors_health
+        self._prearm_failed = bool(bits & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
         self.unhealthy = ", ".join(
             entry.name.removeprefix("MAV_SYS_STATUS_")
             .removeprefix("SENSOR_")

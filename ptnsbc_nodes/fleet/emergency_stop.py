@@ -11,7 +11,9 @@ This module imports no rclpy: an order on this host neither needs the middleware
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,8 +23,8 @@ from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
-from ptnsbc_nodes.bridge.commands import Commands
-from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
+from ptnsbc_nodes.bridge.commands import Commands, companion_heartbeat
+from ptnsbc_nodes.bridge.procedure.steps import SILENT_S, CommandRequest, Step
 from ptnsbc_nodes.emergency import (
     KILL,
     LAND,
@@ -33,17 +35,21 @@ from ptnsbc_nodes.emergency import (
     fleet_bridges,
     latch,
     records,
+    write_record,
 )
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 
 _REPEAT_S = 0.05
+_REHEARSE_S = 2.0
 _LAUNCHER_PATIENCE_S = 3.0
 # A bridge of this host that has not answered by then is passed by. A landing past one that only hesitates would look
 # like a pilot's.
 _KILL_WAIT_S, _LANDING_WAIT_S = 0.3, 1.0
 _DIRECT_REPEAT_S = 0.1
+_PILOT_S = 10.0  # a pilot lands when it suits the pilot
+_SAY_S = 5.0
 _LINK_ID = 1  # of signatures: the bridge signs with 0, and each has its own sequence
 _WANTED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT})
 
@@ -54,7 +60,6 @@ class VehicleOutcome(NamedTuple):
     name: str  # of the bridge
     obeyed: bool  # it answered and does as it was told, or is left alone as it should be
     text: str
-    seconds: float  # until its last answer counted
 
 
 @dataclass
@@ -62,10 +67,13 @@ class _Bridge:
     """The order at one bridge, and what is known of its vehicle."""
 
     name: str
+    order: Order
     # The record that the bridge keeps on this host: its process, the way to the vehicle.
     local: VehicleRecord | None = None
     state: VehicleRecord | None = None  # the newest of the vehicle, from wherever
-    answered_s: float | None = None  # when the bridge first answered this order
+    answered: bool = False  # this order
+    asked_s: float | None = None  # since when it has not answered
+    remote_s: float = 0.0  # wall time of the newest answer by the network
     done_s: float | None = None  # when it, or the vehicle, showed that the vehicle does as told
     direct: DirectOrder | None = None  # past the bridge
 
@@ -73,6 +81,48 @@ class _Bridge:
     def dead(self) -> bool:
         """True if its process on this host has ended."""
         return self.local is not None and not self.local.alive
+
+    def silent(self, wait_s: float) -> bool:
+        """True if it has not answered for so long."""
+        return self.asked_s is not None and time.monotonic() - self.asked_s > wait_s
+
+    def ask(self, client: OrderClient, order: Order) -> None:
+        """Send it an order on this host, or a question."""
+        client.send(self.name, order)
+        self.asked_s = time.monotonic() if self.asked_s is None else self.asked_s
+
+    def take(self, record: VehicleRecord) -> None:
+        """Its answer."""
+        self.state, self.answered, self.asked_s = record, True, None
+        if self.done_s is None and _obeys(record, self.order):
+            self.done_s = time.monotonic()
+
+    def go_past(self) -> None:
+        """Order its vehicle past it if it is dead or does not answer; a pilot's vehicle is left alone."""
+        local, state, order = self.local, self.state, self.order
+        if local is None or state is None or (state.in_pilots_hands and not order.pilots_too):
+            return
+        wait_s = _KILL_WAIT_S if order.what == KILL else _LANDING_WAIT_S
+        if self.direct is None and (self.dead or self.silent(wait_s)):
+            self.direct = DirectOrder(local, order)
+        if (direct := self.direct) is None:
+            return
+        direct.look()
+        if direct.armed is False or (direct.mode is FlightMode.LAND and order.what == LAND):
+            self.state = replace(state, armed=bool(direct.armed), heard=True)
+            if self.dead:
+                self.done_s = time.monotonic()
+
+    def way(self) -> str:
+        """The way on which an order would reach its vehicle now."""
+        if self.local is None:
+            heard = self.state is not None and time.time() - self.state.written_s < _REHEARSE_S
+            return "by the network" if heard else "NOT REACHED: it is not heard"
+        if self.asked_s is None and not self.dead:
+            return "by its socket"
+        direct = DirectOrder(self.local, self.order)
+        direct.close()
+        return f"NOT REACHED: {direct.problem}" if direct.problem else "past its bridge"
 
 
 class EmergencyStop:
@@ -85,6 +135,20 @@ class EmergencyStop:
         self._began_s = self._next_s = time.monotonic()
         self._began_wall_s = time.time()
         self.look_up()
+
+    def rehearse(self) -> dict[str, str] | None:
+        """By bridge the way on which the order would reach its vehicle now; None while an answer is awaited."""
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + _REHEARSE_S
+            self.look_up()
+            for bridge in self._bridges.values():
+                bridge.ask(self._client, Order())
+        self._hear()
+        known = [self._bridges[name] for name in self.bridges]
+        asked = [each for each in known if each.local and each.asked_s and not each.dead]
+        if not all(each.silent(_LANDING_WAIT_S) for each in asked):
+            return None
+        return {each.name: each.way() for each in known}
 
     @property
     def bridges(self) -> list[str]:
@@ -102,6 +166,8 @@ class EmergencyStop:
         latch(self._folder, self._order)
         self._began_s = self._next_s = time.monotonic()
         self._began_wall_s = time.time()
+        for bridge in self._bridges.values():
+            bridge.answered, bridge.asked_s, bridge.done_s = False, None, None
 
     def look(self) -> bool:
         """One round on every path; returns whether all is done."""
@@ -110,7 +176,7 @@ class EmergencyStop:
             self._next_s = now_s + _REPEAT_S
             self.look_up()
             for bridge in self._pending():
-                self._client.send(bridge.name, self._order)
+                bridge.ask(self._client, self._order)
             if self.remote is not None and self._pending():
                 self.remote.send(self._order)
         if self.remote is None:
@@ -118,12 +184,9 @@ class EmergencyStop:
         else:
             self.remote.spin(0.01)
             self._take_remote(self.remote)
-        for data in self._client.answers():
-            record = decode_record(data)
-            if record is not None:
-                self._take(self._bridge(record.name), record)
+        self._hear()
         for bridge in self._pending():
-            self._go_past(bridge)
+            bridge.go_past()
         return bool(self._bridges) and not self._pending()
 
     def run(self, patience_s: float) -> bool:
@@ -142,8 +205,7 @@ class EmergencyStop:
 
     def outcomes(self) -> list[VehicleOutcome]:
         """The outcome of the order, per bridge."""
-        elapsed_s = time.monotonic() - self._began_s
-        return [_outcome(self._bridges[name], self._order, elapsed_s) for name in self.bridges]
+        return [_outcome(self._bridges[name], self._began_s) for name in self.bridges]
 
     def close(self) -> None:
         """Close all sockets."""
@@ -156,14 +218,12 @@ class EmergencyStop:
         """Find the bridges of this host, also those that start meanwhile, and those that were heard."""
         for name, state in ({} if self.remote is None else self.remote.status.vehicles).items():
             bridge = self._bridge(name)
-            bridge.state = bridge.state or state
+            bridge.state = bridge.state if bridge.local is not None else state
         fleet = fleet_bridges(self._folder)
         for name in fleet:
             self._bridge(name)
         for record in records(self._folder):
-            unheard = record.name not in self._bridges or (
-                self._bridges[record.name].answered_s is None
-            )
+            unheard = record.name not in self._bridges or not self._bridges[record.name].answered
             over = record.ended or (not record.alive and record.name not in fleet)
             if over and unheard and not record.armed:
                 continue  # of a flight that is over
@@ -172,52 +232,32 @@ class EmergencyStop:
             if bridge.done_s is None and (unheard or record.ended):
                 bridge.state = record
                 if not unheard and _obeys(record, self._order):
-                    bridge.done_s = time.monotonic() - self._began_s
+                    bridge.done_s = time.monotonic()
 
     def _bridge(self, name: str) -> _Bridge:
-        return self._bridges.setdefault(name, _Bridge(name))
+        return self._bridges.setdefault(name, _Bridge(name, self._order))
 
     def _pending(self) -> list[_Bridge]:
         return [self._bridges[name] for name in self.bridges if self._bridges[name].done_s is None]
 
     def _take_remote(self, remote: LauncherNode) -> None:
-        """States of bridges that have not answered on this host.
+        """Answers by the network: states that are newer than the order, and of a bridge of this host only one with it.
 
-        Only one that bears this order is an answer, and of a bridge of another host one that is newer than the order:
-        a bridge that was heard before may have died since. Of a bridge that is dead none is.
+        A bridge that was heard before may have died since. Of a bridge that is dead nothing is an answer.
         """
         for name, record in remote.status.vehicles.items():
             bridge = self._bridge(name)
-            newer = bridge.local is None and record.written_s >= self._began_wall_s
-            answer = not bridge.dead and (_bears(record, self._order) or newer)
-            if answer and (bridge.answered_s is None or bridge.local is None):
-                self._take(bridge, record)
+            newer = record.written_s > max(bridge.remote_s, self._began_wall_s)
+            counts = bridge.local is None or _bears(record, self._order)
+            if newer and counts and not bridge.dead:
+                bridge.remote_s = record.written_s
+                bridge.take(record)
 
-    def _take(self, bridge: _Bridge, record: VehicleRecord) -> None:
-        """The answer of a bridge."""
-        elapsed_s = time.monotonic() - self._began_s
-        bridge.state = record
-        bridge.answered_s = elapsed_s if bridge.answered_s is None else bridge.answered_s
-        if bridge.done_s is None and _obeys(record, self._order):
-            bridge.done_s = elapsed_s
-
-    def _go_past(self, bridge: _Bridge) -> None:
-        """Order a vehicle past a bridge that is dead or does not answer; a pilot's vehicle is left alone."""
-        elapsed_s, local, state = time.monotonic() - self._began_s, bridge.local, bridge.state
-        if local is None or state is None or (state.in_pilots_hands and not self._order.pilots_too):
-            return
-        wait_s = _KILL_WAIT_S if self._order.what == KILL else _LANDING_WAIT_S
-        silent = bridge.answered_s is None and elapsed_s > wait_s
-        if bridge.direct is None and (bridge.dead or silent):
-            bridge.direct = DirectOrder(local, self._order)
-        if bridge.direct is None:
-            return
-        bridge.direct.look()
-        landing = bridge.direct.lands and self._order.what == LAND
-        if bridge.direct.armed is False or landing:
-            bridge.state = replace(state, armed=bool(bridge.direct.armed), heard=True)
-            if bridge.dead:
-                bridge.done_s = elapsed_s
+    def _hear(self) -> None:
+        """Take the answers that have come on this host."""
+        for data in self._client.answers():
+            if (record := decode_record(data)) is not None:
+                self._bridge(record.name).take(record)
 
 
 def _bears(record: VehicleRecord, order: Order) -> bool:
@@ -238,11 +278,11 @@ def _obeys(record: VehicleRecord, order: Order) -> bool:
     return _bears(record, order) and obeys
 
 
-def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
+def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
     record, direct, obeyed = bridge.state, bridge.direct, bridge.done_s is not None
-    seconds = elapsed_s if bridge.done_s is None else bridge.done_s
+    order, seconds = bridge.order, (bridge.done_s or time.monotonic()) - began_s
     if record is None:
-        return VehicleOutcome(bridge.name, False, "silent: it was never heard of", seconds)
+        return VehicleOutcome(bridge.name, False, "silent: it was never heard of")
     past = ""
     if direct is not None and direct.problem:
         past = f"; not reached past it: {direct.problem}"
@@ -262,7 +302,7 @@ def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
         text = "motors stopped" if killed else f"not flying ({record.state})"
         text = f"{text} after {seconds:.2f} s"
     else:
-        if bridge.answered_s is not None:
+        if bridge.answered and direct is None:
             text = f"answers, but the vehicle does not obey: {record.state}{past}"
         elif bridge.dead:
             text = f"silent: the bridge has ended; last: {record.state}{past}"
@@ -270,7 +310,7 @@ def _outcome(bridge: _Bridge, order: Order, elapsed_s: float) -> VehicleOutcome:
             pid = "" if bridge.local is None else f" (pid {bridge.local.pid})"
             text = f"silent: the bridge{pid} does not answer; last: {record.state}{past}"
         text += f"; {record.fate}" if record.fate and record.armed else ""
-    return VehicleOutcome(bridge.name, obeyed, text, seconds)
+    return VehicleOutcome(bridge.name, obeyed, text)
 
 
 def order_landing(folder: Path, remote: LauncherNode) -> list[str]:
@@ -284,16 +324,59 @@ def order_landing(folder: Path, remote: LauncherNode) -> list[str]:
         operation.close()
 
 
+def land_left_behind(
+    folder: Path, names: Collection[str], told: Callable[[], bool], progress: Callable[[str], None]
+) -> None:
+    """Land the vehicles that bridges of these names have left armed, and wait until all are disarmed.
+
+    A vehicle in a pilot's hands is left alone. `told`: whether the operator wants to wait no longer.
+    """
+    left = {
+        record.name: (record, DirectOrder(record, Order(LAND)))
+        for record in records(folder)
+        if record.name in names and not (record.alive or record.in_pilots_hands)
+        # A vehicle that was told to arm may have done so after the end of its bridge.
+        if record.armed or record.step == Step.ARM.value
+    }
+    began_s = say_s = time.monotonic()
+    while left and not told():
+        time.sleep(0.02)
+        now_s = time.monotonic()
+        for name, (record, direct) in list(left.items()):
+            flown = direct.mode is FlightMode.OTHER
+            direct.look(ordering=direct.armed is True and not flown)
+            if direct.armed is False:
+                write_record(folder, replace(record, armed=False, landed=True, heard=True))
+                word = "its vehicle is disarmed"
+            elif now_s - max(direct.heard_s, began_s) > SILENT_S:
+                word = f"not reached, {direct.problem or 'silent'}; its vehicle was {record.state}"
+            elif flown and now_s - began_s > _PILOT_S:
+                word = "its vehicle is left to its pilot"
+            else:
+                continue
+            progress(f"{name}: {word}")
+            direct.close()
+            del left[name]
+        if left and now_s >= say_s:
+            say_s = now_s + _SAY_S
+            progress(f"armed without a bridge, told to land: {', '.join(left)}; interrupt to end")
+    for _, direct in left.values():
+        direct.close()
+
+
 class DirectOrder:
     """Sends one order to one vehicle, again and again; use `close` at the end."""
 
     def __init__(self, record: VehicleRecord, order: Order) -> None:
         self.armed: bool | None = None
         """As the vehicle's HEARTBEAT said it; None before the first."""
-        self.lands = False  # by itself, as its HEARTBEAT shows
+        self.mode: FlightMode | None = None
+        self.heard_s = 0.0
         self.problem = ""  # why the vehicle cannot be reached
-        self.sent = 0
-        self._request = CommandRequest.KILL if order.what == KILL else CommandRequest.LAND
+        requests = [CommandRequest.KILL if order.what == KILL else CommandRequest.LAND]
+        if order.what == LAND and record.landed and record.step != Step.TAKEOFF.value:
+            requests.append(CommandRequest.DISARM)
+        self._requests = cycle(requests)
         self._autopilot = AUTOPILOTS[record.autopilot]
         self._commands = Commands(self._autopilot, record.sysid)
         self._record = record
@@ -317,8 +400,8 @@ class DirectOrder:
             self.problem = " ".join(str(error).split())
             return None
 
-    def look(self) -> None:
-        """Take in what has arrived, and send when it is time."""
+    def look(self, *, ordering: bool = True) -> None:
+        """Take in what has arrived; when it is time send the order, or only a sign of life."""
         now_s = time.monotonic()
         due = now_s >= self._next_s
         if due:
@@ -329,10 +412,13 @@ class DirectOrder:
         for heartbeat in self._link.poll(now_s):
             if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 self.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                mode = self._autopilot.mode(heartbeat.base_mode, heartbeat.custom_mode)
-                self.lands = mode is FlightMode.LAND
-        if due:
-            self.sent += self._link.send(self._commands.message(self._request, 0.0))
+                base, custom = heartbeat.base_mode, heartbeat.custom_mode
+                self.mode = FlightMode.named(self._autopilot.mode_name(base, custom))
+                self.heard_s = now_s
+        if due and ordering:
+            self._link.send(self._commands.message(next(self._requests), 0.0))
+        elif due:
+            self._link.send(companion_heartbeat())
 
     def close(self) -> None:
         """Close the port."""

@@ -16,13 +16,11 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Iterable
-from pathlib import Path
 
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency import in_pilots_hands, last_word
+from ptnsbc_nodes.emergency import in_pilots_hands, last_word, summary
 from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end, fault_lines
-from ptnsbc_nodes.fleet.emergency_stop import order_landing
+from ptnsbc_nodes.fleet.emergency_stop import land_left_behind, order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.takeoff import Launch, Report
@@ -139,7 +137,8 @@ class Supervisor:
                 self.died.append(child)
                 if not child.fault:  # it has told that, and is named once more at the end
                     self._progress(child.exit_summary())
-                report_armed(self._node.folder, [child], self._progress)
+                if word := last_word(self._node.folder, child.name):
+                    self._progress(f"{child.name}: {word}")
                 lost.update(child.command.lost)
             for name in lost:
                 self._node.news.lose(name)
@@ -152,6 +151,7 @@ class Supervisor:
     def end(self) -> None:
         """Land what is in the air and end all processes, the recorder last, so that its bag is complete."""
         children = self._crew.children
+        signals = self._stop.count if self._bridges else 0
         self._faults.end()
         self._land()
         self._crew.pass_on_lines(self._progress)
@@ -159,6 +159,10 @@ class Supervisor:
         # The middleware may hang a process that hears others leave, and then no signal ends it (docs/platform.md).
         self._node.leave()
         end([child for child in children if child.name != RECORDER])
+        if names := {bridge.name for bridge in self._bridges}:
+            land_left_behind(
+                self._node.folder, names, lambda: self._stop.count > signals, self._progress
+            )
         end(children, _RECORDER_PATIENCE_S)
         for child in children:
             if child.exit_code == 0 or child in self.died or child.name in self._reported:
@@ -175,11 +179,16 @@ class Supervisor:
                     self._progress(f"at the end: {child.exit_summary()}")
         for line in fault_lines(self.died):
             self._progress(line)
+        if text := summary(self._node.folder, names) if names else "":
+            self._progress(text)
+
+    @property
+    def _bridges(self) -> list[ChildProcess]:
+        return [child for child in self._crew.children if child.command.module == BRIDGE]
 
     def _land(self) -> None:
         """Land what is still in the air, before the processes that fly it are ended."""
-        news = self._node.news
-        bridges = [c for c in self._crew.children if c.command.ends and c.name != SIM]
+        news, bridges = self._node.news, self._bridges
         remote = [name for name in self._options.elsewhere if name.startswith("bridge")]
 
         def is_airborne() -> bool:
@@ -205,14 +214,6 @@ class Supervisor:
                 names = ", ".join(flying) or "other computers"
                 self._progress(f"not waited for any longer: {names}")
                 break
-        report_armed(self._node.folder, bridges, self._progress)
-
-
-def report_armed(folder: Path, children: Iterable[ChildProcess], progress: Report) -> None:
-    """Name each vehicle that is still armed, with place, mode and what it does now, as its bridge has recorded it."""
-    for child in children:
-        if child.command.module == BRIDGE and (word := last_word(folder, child.name)):
-            progress(f"{child.name}: {word}")
 
 
 def call_down(node: LauncherNode, leg: str, progress: Report) -> None:

@@ -414,7 +414,7 @@ def _report(operation: EmergencyStop) -> int:
         console.say(f"{outcome.name}: {outcome.text}")
     missing = [outcome.name for outcome in outcomes if not outcome.obeyed]
     if missing:
-        console.say(f"error: not obeyed: {', '.join(missing)}")
+        console.say(f"error: not obeyed: {', '.join(missing)}: keep away from it")
         return _MISSING
     return 0
 
@@ -422,14 +422,14 @@ def _report(operation: EmergencyStop) -> int:
 def _wait_for_key(operation: EmergencyStop, node: LauncherNode, *, kill: bool) -> None:
     """Look for bridges until a key is pressed; Ctrl-C leaves without an order."""
     what = "STOP ALL MOTORS" if kill else "LAND ALL"
-    known: list[str] | None = None
+    known: dict[str, str] | None = None
     with _single_keys() as descriptor:
         while not select.select([descriptor], [], [], 0.0)[0]:
             node.spin(_LOOK_S)
-            operation.look_up()
-            if operation.bridges != known:
-                known = operation.bridges
-                found = ", ".join(known) or "no bridge yet"
+            ways = operation.rehearse()
+            if ways not in (known, None):
+                known = ways or {}
+                found = ", ".join(f"{name} {way}" for name, way in known.items()) or "no bridge yet"
                 console.say(f"ready: any key: {what}: {found} (Ctrl-C: no order)")
         if not os.read(descriptor, 1):
             raise OrderError("--ready: the input has ended: expected a terminal to press a key in")

@@ -30,6 +30,7 @@ from ptnsbc_nodes.emergency import (
     release,
     runtime_folder,
     socket_path,
+    summary,
     write_record,
 )
 
@@ -151,7 +152,6 @@ def test_bytes_that_are_no_order_change_nothing(port, client, tmp_path):
     assert client.send("bridge3", Order("land"))
     assert answer(client) == [b"state"]
     assert port.taken == [Order("land")]
-    assert port.broken == 3
 
 
 def test_nobody_listens(client):
@@ -239,9 +239,22 @@ def test_whether_pilots_fly_all_of_them(tmp_path):
     assert not in_pilots_hands(tmp_path, ["bridge3", "bridge9"])
 
 
+def test_the_summary_after_a_flight(tmp_path):
+    write_record(tmp_path, replace(RECORD, armed=False, landed=True, place=""))
+    down = "bridge3 disarmed, on the ground in OFFBOARD"
+    assert summary(tmp_path, ["bridge3"]) == f"after the flight: {down}: all disarmed"
+    write_record(tmp_path, replace(RECORD, name="bridge4", fate="it hovers"))
+    assert summary(tmp_path, ["bridge3", "bridge4"]) == (
+        f"after the flight: {down}; bridge4 armed at (1.0, 2.0, 3.0) m in OFFBOARD: it hovers: "
+        "keep away from bridge4: a pilot lands it, or ptnsbc stop"
+    )
+
+
 def test_the_state_in_words():
     assert RECORD.state == "armed at (1.0, 2.0, 3.0) m in OFFBOARD"
     silent = replace(RECORD, heard=False)
     assert silent.state == "the vehicle is silent, last armed at (1.0, 2.0, 3.0) m in OFFBOARD"
     down = replace(RECORD, armed=False, landed=True, place="")
     assert down.state == "disarmed, on the ground in OFFBOARD"
+    stands = replace(RECORD, landed=True, place="")
+    assert stands.state == "armed, on the ground, rotors turning in OFFBOARD"

@@ -7,7 +7,7 @@ armed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -28,29 +28,32 @@ _OUT = frozenset(step.value for step in (Step.FAILED, Step.DONE, Step.YIELDED, S
 _CLEAR_M = 1.5  # a vehicle so high above the ground has left room for the next one to lift off
 
 
-class Companions:
-    """The reports of all other bridges."""
+ON_GROUND_M = 0.5
+"""A vehicle below this height may still stand on the ground."""
+
+_LOWEST_M = 1.5  # of a layer above the world's ground
+
+
+class Placement:
+    """One vehicle's place by its own odometry, among those that the bridges of the others report."""
 
     def __init__(
         self,
+        scenario: Scenario,
         uav_id: int,
         awaited: frozenset[int],
-        keep_outs_m: Mapping[int, float],
-        spacing_m: float,
+        vehicle: VehicleMonitor,
+        state_publisher: StatePublisher,
     ) -> None:
-        """Args:
-        uav_id: the own id.
-        awaited: ids that must be heard; others count once they are heard.
-        keep_outs_m: distance that this vehicle and another must keep, by the id of the other.
-        spacing_m: vehicles that stand nearer than the keep-out and this do not climb side by side.
-        """
-        self._uav_id = uav_id
+        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms; others count once heard."""
+        self._scenario, self._mavlink, self._uav_id = scenario, scenario.mavlink, uav_id
+        self._vehicle, self._state_publisher = vehicle, state_publisher
         self._awaited = awaited - {uav_id}
-        self._keep_outs_m, self._spacing_m = keep_outs_m, spacing_m
         self._heard: dict[int, tuple[Companion, float]] = {}
+        self.start = scenario.uav(uav_id).position
 
     def report(self, uav_id: int, companion: Companion, now_s: float) -> None:
-        """Take a report."""
+        """Take the report of another bridge."""
         if uav_id != self._uav_id:
             self._heard[uav_id] = (companion, now_s)
 
@@ -69,69 +72,6 @@ class Companions:
                 why = f": {companion.fault}" if companion.fault else ""
                 return f"bridge{uav_id} {companion.step}{why}"
         return ""
-
-    def too_near(self, position: Position, error_m: float) -> str:
-        """The reason why this vehicle may not arm where it stands; empty when it may."""
-        for uav_id, _, apart_m, off_m in self._apart(position, error_m):
-            keep_out_m = self._keep_outs_m[uav_id]
-            least_m = keep_out_m + off_m
-            if apart_m < least_m:
-                return (
-                    f"stands {apart_m:.2f} m from the vehicle of bridge{uav_id}: expected at least {least_m:.2f} m, "
-                    f"the keep-out of {keep_out_m:g} m and {off_m:.2f} m of position error"
-                )
-        return ""
-
-    def climbs_first(self, position: Position, error_m: float) -> str:
-        """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
-        waits = []
-        for uav_id, other, apart_m, off_m in self._apart(position, error_m):
-            close = apart_m < self._keep_outs_m[uav_id] + self._spacing_m + off_m
-            if uav_id < self._uav_id and close and other.height_m < _CLEAR_M:
-                waits.append(f"bridge{uav_id}")
-        return ", ".join(waits)
-
-    def _apart(
-        self, position: Position, error_m: float
-    ) -> Iterator[tuple[int, Companion, float, float]]:
-        """The others with the horizontal distance to each and the error of that distance [m]."""
-        for uav_id, (other, _) in sorted(self._heard.items()):
-            if other.position is not None:
-                apart_m = math.dist(position[:2], other.position[:2])
-                yield uav_id, other, apart_m, math.hypot(error_m, other.error_m)
-
-    def _missing(self, steps: frozenset[str], now_s: float) -> Iterator[str]:
-        for uav_id in sorted(self._awaited | set(self._heard)):
-            companion, heard_s = self._heard.get(uav_id, (None, -math.inf))
-            if companion is None or now_s - heard_s > HEARD_S:
-                yield f"bridge{uav_id} (not heard)"
-            elif companion.step not in steps:
-                yield f"bridge{uav_id} ({companion.step})"
-
-
-ON_GROUND_M = 0.5
-"""A vehicle below this height may still stand on the ground."""
-
-_LOWEST_M = 1.5  # of a layer above the world's ground
-
-
-class Placement:
-    """One vehicle's place by its own odometry, judged by the scenario and by the reports of the others."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        uav_id: int,
-        awaited: frozenset[int],
-        vehicle: VehicleMonitor,
-        state_publisher: StatePublisher,
-    ) -> None:
-        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms."""
-        self._mavlink, self._uav_ids, self._uav_id = scenario.mavlink, scenario.uav_ids, uav_id
-        self._vehicle, self._state_publisher = vehicle, state_publisher
-        self.start = scenario.uav(uav_id).position
-        keep_outs_m = {other: scenario.keep_out_between(uav_id, other) for other in self._uav_ids}
-        self.companions = Companions(uav_id, awaited, keep_outs_m, scenario.mavlink.climb_spacing_m)
 
     @property
     def position(self) -> Position | None:
@@ -164,12 +104,39 @@ class Placement:
                 f"stands at {self.text}, {away_m:.2f} m from its start ({x:g}, {y:g}) m: expected at most "
                 f"{limit_m:.2f} m, see uavs and mavlink.start_tolerance_m"
             )
-        return self.companions.too_near(position, self.error_m)
+        for uav_id, _, apart_m, keep_out_m, off_m in self._apart():
+            if apart_m < keep_out_m + off_m:
+                return (
+                    f"stands {apart_m:.2f} m from the vehicle of bridge{uav_id}: expected at least "
+                    f"{keep_out_m + off_m:.2f} m, the keep-out of {keep_out_m:g} m and {off_m:.2f} m of position error"
+                )
+        return ""
 
     def climbs_first(self) -> str:
-        """The vehicles that must climb before this one; empty when it may climb."""
-        position = self.position
-        return "" if position is None else self.companions.climbs_first(position, self.error_m)
+        """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
+        waits = []
+        for uav_id, other, apart_m, keep_out_m, off_m in self._apart():
+            close = apart_m < keep_out_m + self._mavlink.climb_spacing_m + off_m
+            if uav_id < self._uav_id and close and other.height_m < _CLEAR_M:
+                waits.append(f"bridge{uav_id}")
+        return ", ".join(waits)
+
+    def _apart(self) -> Iterator[tuple[int, Companion, float, float, float]]:
+        """The others: horizontal distance to each, the keep-out from it, and the error of that distance [m]."""
+        position, error_m = self.position, self.error_m
+        for uav_id, (other, _) in sorted(self._heard.items()):
+            if position is not None and other.position is not None:
+                apart_m = math.dist(position[:2], other.position[:2])
+                keep_out_m = self._scenario.keep_out_between(self._uav_id, uav_id)
+                yield uav_id, other, apart_m, keep_out_m, math.hypot(error_m, other.error_m)
+
+    def _missing(self, steps: frozenset[str], now_s: float) -> Iterator[str]:
+        for uav_id in sorted(self._awaited | set(self._heard)):
+            companion, heard_s = self._heard.get(uav_id, (None, -math.inf))
+            if companion is None or now_s - heard_s > HEARD_S:
+                yield f"bridge{uav_id} (not heard)"
+            elif companion.step not in steps:
+                yield f"bridge{uav_id} ({companion.step})"
 
     def below(self, others: Array) -> str:
         """The reason why it cannot land: another vehicle in the air below it, too close beside to land past it.
@@ -186,8 +153,9 @@ class Placement:
 
     def layer_m(self, middle_m: float, guard: SetpointGuard) -> float:
         """The height of this vehicle's layer; all bridges compute the same layers about the leader's height."""
-        apart_m, last = self._mavlink.abort.layer_m, len(self._uav_ids) - 1
+        uav_ids, apart_m = self._scenario.uav_ids, self._mavlink.abort.layer_m
+        last = len(uav_ids) - 1
         low_m = max(middle_m - 0.5 * last * apart_m, _LOWEST_M, float(guard.low[2]))
         high_m = min(low_m + last * apart_m, float(guard.high[2]))
         low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, float(guard.low[2]))
-        return low_m + (high_m - low_m) * self._uav_ids.index(self._uav_id) / max(last, 1)
+        return low_m + (high_m - low_m) * uav_ids.index(self._uav_id) / max(last, 1)

@@ -1,10 +1,10 @@
 """A flight of one vehicle as a state machine, from the first heartbeat to disarmed.
 
-    HEARTBEAT → PARAMETERS → STATE ⇄ CONTROLLER → STREAM → MODE → READY → ARM → ARMED
+    HEARTBEAT → PARAMETERS → STATE ⇄ CONTROLLER → STREAM → MODE → CHECKS ⇄ READY → ARM → ARMED
         → TAKEOFF → AIRBORNE → FLY → LAND → DONE
 
     before arming   → STATE: position or controller lost      → DONE: the operator's stop    → FAILED
-    ARMED           → DISARM: another does not fly, or a stop  → YIELDED: a pilot
+    ARM … TAKEOFF   → DISARM: on the ground, and another does not fly, or a stop  → YIELDED: a pilot
     TAKEOFF … FLY   → FAILSAFE: no setpoints  → FLY: they are back  → LAND: nobody takes it over  → YIELDED
                     → APART: a hazard  → LAND                  → LAND: stop, battery, fence   → YIELDED: a pilot
     FLY ⇄ HELD      where UAVs come and go: its controller is away
@@ -49,6 +49,7 @@ _MODE_LAG_S = 2.5  # HEARTBEAT comes once a second
 _ARRIVED_M = 0.5
 _STILL_M_S = 0.5
 _SETTLED_S = 1.0
+_CHECKED_S = 1.2  # HEARTBEAT and SYS_STATUS come once a second
 _APART_S = 5.0  # all are at their heights by then, at 1 m/s
 _DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
 _GROUNDED_S = 5.0
@@ -102,23 +103,21 @@ class Procedure:
         self.autopilot, self.takeoff_height_m = autopilot, takeoff_height_m
         self.allow_arming, self.away_s, self.log = allow_arming, away_s, log
         self.step = Step.HEARTBEAT
-        """The step of the flight in which the vehicle is."""
         self.fault = ""
         """The reasons why the flight did not go as planned, in the order in which it went wrong."""
+        self.concern = ""
+        """Those of them that still count."""
         self.gave_up = False
         """True once this vehicle has given the formation up, even if it lands in the same tick: all others must too."""
         self.in_pilots_hands = False
-        """True if a pilot flies the vehicle, as far as the bridge knows."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
-        """The newest result of `advance`."""
         self.memory = StepMemory(math.inf)  # the first step begins with the first snapshot
         self.step_before_failsafe = Step.AIRBORNE
         self.climbed = False
         self.hold_tolerated_until_s = -math.inf
         self.stood_still_s = 0.0
         """The time for which this process itself has just stood still."""
-        self.highest_m = 0.0
-        """The largest height since it was armed; infinite if it has been unknown meanwhile."""
+        self._highest_m = math.inf  # since it was disarmed; infinite once it is unknown
         self._advanced_s: float | None = None
         self._unprepared = ""
 
@@ -126,6 +125,11 @@ class Procedure:
     def over(self) -> bool:
         """True if there is nothing left to do."""
         return self.step in OVER
+
+    @property
+    def stands(self) -> bool:
+        """True if the vehicle never left the ground, as far as the bridge has seen all the time."""
+        return self._highest_m < LIFTED_M
 
     @property
     def awaited(self) -> str:
@@ -136,8 +140,10 @@ class Procedure:
 
     def fail(self, reason: str) -> None:
         """Log a fault, also of the bridge itself, and remember it once."""
-        if reason not in self.fault:
-            self.fault = "; ".join(filter(None, (self.fault, reason)))
+        self.fault, self.concern = (
+            known if reason in known else "; ".join(filter(None, (known, reason)))
+            for known in (self.fault, self.concern)
+        )
         self.log(reason)
 
     def advance(self, now: VehicleSnapshot) -> ProcedureOutput:
@@ -146,8 +152,11 @@ class Procedure:
         self.stood_still_s = paused_s if paused_s > STOP_S else 0.0
         self._advanced_s, self._unprepared = now.now_s, now.unprepared
         self.memory.since_s = min(self.memory.since_s, now.now_s)
-        height_m = math.inf if now.state_fault else now.height_m
-        self.highest_m = max(self.highest_m, height_m) if now.armed else 0.0
+        if now.armed:
+            height_m = math.inf if now.state_fault else now.height_m
+            self._highest_m = max(self._highest_m, height_m)
+        elif now.heartbeat_age_s < HEARTBEAT_LOST_S:
+            self._highest_m = 0.0
         for _ in Step:  # one snapshot may complete several steps
             following = _from_any_step(self, now) or _STATES[self.step].following(self, now)
             if following is None:
@@ -162,6 +171,7 @@ class Procedure:
                 Step.CONTROLLER: now.state_fault
                 or "no fresh setpoints from a controller that is ready",
                 Step.MODE: f"{self.autopilot.own_mode} not confirmed",
+                Step.CHECKS: now.unready,
                 Step.ARM: "arming refused",
                 Step.ARMED: f"waiting for {now.not_armed or now.climbs_first}",
                 Step.TAKEOFF: f"at {now.height_m:.1f} m of {self.takeoff_height_m:g} m",
@@ -171,13 +181,20 @@ class Procedure:
             self._enter(Transition(_STATES[self.step].after_limit, reason), now)
         stream, command = _stream_and_command(self, now)
         self.in_pilots_hands = self.flown_by_pilot(now)
-        out = self.step in (Step.YIELDED, Step.KILL, Step.APART, *OVER)
+        out = self.step in (Step.YIELDED, Step.KILL, Step.APART, Step.DISARM, *OVER)
         in_formation = not out and (self.step is not Step.LAND or now.leg == "land")
         self.output = ProcedureOutput(stream, self.memory.due(command, now.now_s), in_formation)
         return self.output
 
     def _enter(self, following: Transition, now: VehicleSnapshot) -> None:
         step, reason = following
+        if now.mode is not FlightMode.OTHER:  # no pilot
+            if CommandRequest.ARM in self.memory.requested_s and step in (Step.STATE, *OVER):
+                # It may still arm, before it hears anything else.
+                lost = f"not taken off: {now.state_fault or 'the controller is silent'}"
+                step, reason = Step.DISARM, lost if step is Step.STATE else reason
+            elif step in (Step.LAND, Step.YIELDED) and now.armed and self.stands:
+                step = Step.DISARM
         if step in OVER and now.armed:
             reason = "; ".join(filter(None, (reason, f"left behind {now.left_behind}")))
         if reason:
@@ -203,7 +220,8 @@ def _from_any_step(flight: Procedure, now: VehicleSnapshot) -> Transition | None
     stop = "" if left_alone else now.stop_request  # a pilot's vehicle is left alone
     if step in OVER:
         return None
-    if stop == "kill" and step is not Step.KILL and (now.armed or step not in BEFORE_ARMING):
+    on_ground = step in (*BEFORE_ARMING, Step.DISARM)
+    if stop == "kill" and step is not Step.KILL and (now.armed or not on_ground):
         return Transition(Step.KILL, "motors stopped by the operator")
     coming_down = step in (Step.LAND, Step.KILL) or (step is Step.YIELDED and now.stop_request)
     silent = now.heartbeat_age_s > (SILENT_KILL_S if stop == "kill" else SILENT_S)
@@ -229,6 +247,9 @@ def _before_arming(flight: Procedure, now: VehicleSnapshot, stop: str) -> Transi
         return Transition(Step.LAND if now.armed else Step.DONE)
     if sets_out and (now.state_fault or now.controller_age_s > STOP_S):
         return Transition(Step.STATE)  # position or controller were lost again
+    if flight.step in (Step.CHECKS, Step.READY, Step.ARM) and now.mode is not FlightMode.OWN:
+        reason = f"the pilot took over before arming: mode {now.mode_name}"
+        return Transition(Step.FAILED, reason)
     return None
 
 
@@ -298,23 +319,25 @@ def _mode(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     pilot_arms = now.armed or not flight.allow_arming
     if now.mode is not FlightMode.OWN:
         return None
-    return Transition(Step.ARM if pilot_arms else Step.READY)
+    return Transition(Step.ARM if pilot_arms else Step.CHECKS)
+
+
+def _checks(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    """Be ready only when nothing speaks against arming: one that refuses leaves the others with turning rotors."""
+    ready_s = flight.memory.good.update(now.armed or not now.unready, now.now_s)
+    return Transition(Step.READY) if ready_s >= _CHECKED_S else None
 
 
 def _ready(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     """Arm only with gains that fit, where the vehicle may climb, and together with all others."""
     if refusal := now.unfit or now.misplaced or now.companion_out:
         return Transition(Step.FAILED, f"not armed: {refusal}")
-    if now.mode is not FlightMode.OWN:
-        reason = f"the pilot took over before arming: mode {now.mode_name}"
-        return Transition(Step.FAILED, reason)
+    if now.unready and not now.armed:
+        return Transition(Step.CHECKS)
     return Transition(Step.ARM) if now.armed or not now.not_ready else None
 
 
 def _arm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
-    if now.mode is not FlightMode.OWN:
-        reason = f"the pilot took over before arming: mode {now.mode_name}"
-        return Transition(Step.FAILED, reason)
     if now.armed and now.landed is False and now.height_m >= LIFTED_M:
         # A pilot flew it up and handed it over. A flight controller whose motors turn on the ground may say that it
         # has not landed: its height must say so too, or the formation would begin with a vehicle that stands.
@@ -339,7 +362,11 @@ def _armed(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 
 
 def _disarm(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
-    return None if now.armed else Transition(Step.FAILED if flight.fault else Step.DONE)
+    """Until it has been disarmed for as long as an order to arm may take to show in HEARTBEAT."""
+    disarmed = not now.armed and now.heartbeat_age_s < HEARTBEAT_LOST_S
+    if flight.memory.good.update(disarmed, now.now_s) < _MODE_LAG_S:
+        return None
+    return Transition(Step.FAILED if flight.fault else Step.DONE)
 
 
 def _takeoff(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -397,15 +424,17 @@ def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         # Sent setpoints again, PX4 returns to OFFBOARD by itself. The bridge never requests the mode here: a pilot
         # who switched to Hold in the meantime keeps the vehicle.
         flight.log("setpoints are back, the formation goes on")
+        flight.concern = ""
         flight.hold_tolerated_until_s = now.now_s + _MODE_LAG_S
         return Transition(flight.step_before_failsafe)
     if recovered:
         kept = memory.good.seconds(now.now_s) > RECOVERED_S + _MODE_LAG_S
         kept = kept and age_s > RECOVERED_S + 2 * _MODE_LAG_S
         return Transition(Step.YIELDED) if kept else None
-    if age_s > LAND_S and own and heard:
+    wait_s = _MODE_LAG_S if flight.stands else LAND_S
+    if age_s > wait_s and (own or flight.stands) and heard:
         # Nobody has taken it over: its failsafe only waits, as that of an ArduCopter in GUIDED does.
-        return Transition(Step.LAND, f"landed after {LAND_S:g} s without setpoints")
+        return Transition(Step.LAND, f"landed after {wait_s:g} s without setpoints")
     return None
 
 
@@ -442,8 +471,9 @@ _STATES: Mapping[Step, State] = {
     Step.CONTROLLER: State(_controller, 180.0),
     Step.STREAM: State(_stream, 10.0),
     Step.MODE: State(_mode, 10.0),
+    Step.CHECKS: State(_checks, 30.0),
     Step.READY: State(_ready),
-    Step.ARM: State(_arm, 20.0),
+    Step.ARM: State(_arm, 5.0, Step.DISARM),
     Step.ARMED: State(_armed, 8.0, Step.DISARM),  # most disarm by themselves after 10 s
     Step.DISARM: State(_disarm, 10.0),
     Step.TAKEOFF: State(_takeoff, 60.0, Step.LAND),
@@ -465,7 +495,6 @@ def _stream_and_command(
 ) -> tuple[Stream, CommandRequest | None]:
     """The content of the setpoint stream in this step, and the command that it repeats until it is confirmed."""
     step, memory, autopilot = flight.step, flight.memory, flight.autopilot
-    early = Stream.HOLD if autopilot.stream_first else Stream.NONE
     if step is Step.TAKEOFF and autopilot.stream_first:
         return Stream.CLIMB, None
     if step is Step.LAND:
@@ -479,28 +508,26 @@ def _stream_and_command(
     follows = step is Step.FLY and now.controller_age_s <= STALE_S
     recovered = step is Step.FAILSAFE and memory.good.seconds(now.now_s) > RECOVERED_S
     stream = {
-        Step.STREAM: early,
-        Step.MODE: early,
-        Step.READY: early,
-        Step.ARM: early,
-        Step.ARMED: early,
         Step.AIRBORNE: Stream.CLIMB if flight.climbed else Stream.HOLD,
         Step.FLY: Stream.PLANNER if follows else Stream.HOLD,
         Step.HELD: Stream.HOLD,
         Step.APART: Stream.APART,
         Step.FAILSAFE: Stream.HOLD if recovered else Stream.NONE,
     }.get(step, Stream.NONE)
+    if step in (*SETTING_OUT, Step.ARMED) and autopilot.stream_first:
+        stream = Stream.HOLD
     may_arm = flight.allow_arming and not now.armed
     disarm, age_s = CommandRequest.DISARM, memory.age_s(now.now_s)
-    if step is Step.DISARM and age_s >= _PLAIN_S and now.mode is not FlightMode.OTHER:
+    if now.armed and age_s >= _PLAIN_S and now.mode is not FlightMode.OTHER:
         # A PX4 may take the setpoints on the ground for a take-off: then it wants to land first, or to be forced. It is
         # forced only if it never left the ground, as far as the bridge has seen all the time.
         disarm = CommandRequest.LAND if age_s < _LANDED_S else disarm
-        if age_s >= _FORCED_S and flight.highest_m < LIFTED_M:
+        if age_s >= _FORCED_S and flight.stands:
             disarm = CommandRequest.KILL
     command = {
         # Somebody flies a vehicle that is armed already, and only they may change its mode.
         Step.MODE: None if now.armed else CommandRequest.OWN_MODE,
+        Step.CHECKS: CommandRequest.CHECK,
         Step.ARM: CommandRequest.ARM if may_arm else None,
         Step.DISARM: disarm,
         Step.TAKEOFF: CommandRequest.TAKEOFF if now.height_m < LIFTED_M else None,

@@ -35,6 +35,7 @@ class Step(Enum):
     CONTROLLER = "waiting for the UAV's controller"
     STREAM = "sending setpoints"
     MODE = "waiting for the mode"
+    CHECKS = "waiting for its pre-arm checks"
     READY = "ready to arm, waiting for the others"
     ARM = "arming"
     ARMED = "armed, waiting for the others"
@@ -52,7 +53,7 @@ class Step(Enum):
     FAILED = "failed"
 
 
-SETTING_OUT = (Step.STREAM, Step.MODE, Step.READY, Step.ARM)
+SETTING_OUT = (Step.STREAM, Step.MODE, Step.CHECKS, Step.READY, Step.ARM)
 BEFORE_ARMING = (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, Step.CONTROLLER, *SETTING_OUT)
 FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.HELD)
 OVER = (Step.DONE, Step.FAILED)
@@ -72,6 +73,7 @@ class CommandRequest(Enum):
     """A command to the vehicle."""
 
     OWN_MODE = "own mode"
+    CHECK = "check"
     ARM = "arm"
     TAKEOFF = "take off"
     LAND = "land"
@@ -111,6 +113,7 @@ class VehicleSnapshot:
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
     pilots_too: bool = False  # whether the request counts in a pilot's hands as well
     unfit: str = ""  # why the scenario's gains would swing the vehicle
+    unready: str = ""  # why the vehicle would refuse to arm
     misplaced: str = ""  # why the vehicle may not arm where it stands
     not_ready: str = ""  # other vehicles that are not ready to arm
     not_armed: str = ""  # other vehicles that are not armed

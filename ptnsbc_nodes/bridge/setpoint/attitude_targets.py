@@ -306,10 +306,8 @@ class BodyRateEstimator:
     def update(self, quaternion: Array, known: Array, at_s: float) -> Array:
         """The body rates with this target.
 
-        Args:
-            quaternion: (4,) x y z w, FLU to ENU.
-            known: (3,) axes about which the target is the controller's own; the rate about others is zero.
-            at_s: the instant that the target belongs to; a target that is not newer changes nothing.
+        `known` (3,): axes about which the target is the controller's own; the rate about others is zero. `at_s`: the
+        instant that the target belongs to; a target that is not newer changes nothing.
         """
         last, dt = self._last, at_s - self._last_s
         if last is not None and dt <= 0.0:

@@ -15,7 +15,6 @@ from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import (
     AUTOPILOTS,
     VelocityResponse,
-    hover_thrust,
     limits,
     velocity_response,
 )
@@ -233,7 +232,8 @@ class SetpointStream:
     def take_parameters(self, values: Mapping[str, float]) -> None:
         """Lower the limits to those of the vehicle, and take over what else its parameters say of it."""
         self.guard.limits = allowed(self._mavlink.limits, limits(values))
-        self.attitude.hover.value = hover_thrust(values) or self._mavlink.hover_thrust
+        known = values.get("MPC_THR_HOVER", values.get("MOT_THST_HOVER"))
+        self.attitude.hover.value = known or self._mavlink.hover_thrust
         response = velocity_response(self._autopilot, values)
         if response is not None:
             link = self._link
@@ -252,9 +252,7 @@ class SetpointStream:
 
         Autopilots that close loops of their own besides take no rates of roll and pitch beside an attitude.
         """
-        waits_s = (
-            0.5 / self._mavlink.rate_hz
-        )  # how long a target waits for the next one, on average
+        waits_s = 0.5 / self._mavlink.rate_hz  # for the next target, on average
         delay_s = self.ages.percentile_s(50) + waits_s + thrust_delay_s
         return self.fit.to_delay(delay_s, led=self._autopilot.attitude_only)
 

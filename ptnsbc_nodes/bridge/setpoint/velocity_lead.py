@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from scipy.signal import bilinear_zpk, sosfilt_zi, tf2zpk, zpk2sos
+from scipy.signal import bilinear_zpk, sosfilt, sosfilt_zi, tf2zpk, zpk2sos
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
@@ -127,8 +127,7 @@ def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
 class _Filter:
     """A transfer function in discrete time on horizontal vectors (2,), in sections of second order.
 
-    In one piece its coefficients lose what the sixth power of a short period leaves of them. The sections are those of
-    SciPy's `sosfilt`, whose call costs several times the sums of one sample.
+    In one piece its coefficients lose what the sixth power of a short period leaves of them.
     """
 
     def __init__(self, transfer: Transfer, period_s: float) -> None:
@@ -136,12 +135,9 @@ class _Filter:
         # Without an integral the vehicle's loop and its lead have an s in common.
         while above[0] == 0.0 and below[0] == 0.0:
             above, below = above[1:], below[1:]
-        sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
-        self._sections: list[list[float]] = np.delete(
-            sections, 3, axis=1
-        ).tolist()  # b0 b1 b2 a1 a2
-        self._rest = sosfilt_zi(sections)
-        self._memory: list[list[list[float]]] | None = None  # two numbers per axis and section
+        self._sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
+        self._rest = sosfilt_zi(self._sections)[:, None, :]
+        self._memory: Array | None = None  # (sections, 2, 2) two numbers per section and axis
 
     def restart(self) -> None:
         """The next value has been there for ever."""
@@ -149,16 +145,9 @@ class _Filter:
 
     def step(self, value: Array) -> Array:
         if self._memory is None:
-            self._memory = (value[:, None, None] * self._rest).tolist()
-        out = []
-        for x, memory in zip(value.tolist(), self._memory, strict=True):
-            for (b0, b1, b2, a1, a2), z in zip(self._sections, memory, strict=True):
-                y = b0 * x + z[0]  # direct form II transposed
-                z[0] = b1 * x - a1 * y + z[1]
-                z[1] = b2 * x - a2 * y
-                x = y
-            out.append(x)
-        return np.array(out)
+            self._memory = self._rest * value[:, None]
+        out, self._memory = sosfilt(self._sections, value[:, None], zi=self._memory)
+        return np.asarray(out[:, 0])
 
 
 class VelocityLead:

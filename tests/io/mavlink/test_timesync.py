@@ -47,7 +47,6 @@ def test_a_jump_is_believed_when_it_stays():
     assert sync.to_host_time(0.0) == pytest.approx(BOOT_AT)
     trip(sync, 112.0, 0.001, 0.001, boot_at=90.0)
     trip(sync, 113.0, 0.001, 0.001, boot_at=90.0)
-    assert sync.jumps == 1
     assert sync.to_host_time(0.0) == pytest.approx(90.0)
 
 
@@ -56,7 +55,7 @@ def test_single_accidents_never_add_up_to_a_jump():
     for n in range(10):
         trip(sync, 110.0 + n, 0.001, 0.001)
         assert not trip(sync, 110.5 + n, 0.001, 0.001, boot_at=90.0)
-    assert sync.jumps == 0
+    assert sync.to_host_time(0.0) == pytest.approx(BOOT_AT)
 
 
 def test_without_answers_the_quickest_message_must_do():

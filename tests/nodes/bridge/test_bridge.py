@@ -152,12 +152,16 @@ def test_forged_packets_of_a_young_clock_do_not_end_the_flight_at_touchdown():
     assert uav.bridge.procedure.fault == ""
 
 
-def test_arming_refused_by_the_vehicle():
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [("refuse", "its pre-arm check fails (not healthy: "), ("deny", "arming refused (arm: ")],
+)
+def test_arming_refused_by_the_vehicle(fault, reason):
     fleet = MavlinkFleet(scenario(), count=1)
     uav = fleet.uavs[1]
-    inject(uav.vehicle, "arming", "refuse", fleet.now_s)
+    inject(uav.vehicle, "arming", fault, fleet.now_s)
     until(fleet, uav, Step.FAILED, 90.0)
-    assert "arming refused (arm: " in uav.bridge.procedure.fault
+    assert reason in uav.bridge.procedure.fault
 
 
 def test_gps_lost_in_flight():

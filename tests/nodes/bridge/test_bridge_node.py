@@ -251,7 +251,7 @@ def test_a_bridge_that_starts_while_an_order_holds_obeys_it(
     latch(runtime_folder(ros.domain), order)
     work = bridge().work
     assert work.bridge.ports.inputs.order == order
-    work.bridge.vehicle.armed, work.bridge.vehicle.mode = armed, FlightMode.OWN
+    work.bridge.vehicle.armed, work.bridge.vehicle.mode_name = armed, "OFFBOARD"
     work.bridge._tick(time.monotonic())
     procedure = work.bridge.procedure
     assert (procedure.step, procedure.output.command) == (step, command)

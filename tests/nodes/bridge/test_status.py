@@ -19,7 +19,11 @@ def bridge(step, *, armed, flew, silence_s):
     """As much of a bridge as its record needs."""
     return SimpleNamespace(
         procedure=SimpleNamespace(
-            step=step, over=step in (Step.DONE, Step.FAILED), fault="", in_pilots_hands=False
+            step=step,
+            over=step in (Step.DONE, Step.FAILED),
+            fault="",
+            in_pilots_hands=False,
+            stands=False,
         ),
         vehicle=SimpleNamespace(
             heartbeat_age_s=lambda _now: silence_s, armed=armed, landed=True, mode_name="OFFBOARD"

@@ -158,6 +158,23 @@ def test_a_disarmed_px4_whose_checks_fail_is_not_initialised_and_has_not_reboote
     vehicle.on_message(heartbeat(system_status=mavlink.MAV_STATE_UNINIT), 101.0)
     assert not vehicle.armed
     assert not vehicle.rebooted
+    assert vehicle.unready == "MAV_STATE 0: expected STANDBY"
+    vehicle.on_message(heartbeat(), 102.0)
+    assert vehicle.unready == ""
+
+
+@pytest.mark.parametrize(
+    ("enabled", "healthy", "unready"),
+    [(True, False, True), (True, True, False), (False, False, False)],
+)
+def test_a_vehicle_is_not_ready_whose_pre_arm_check_fails(enabled, healthy, unready):
+    """A sensor that is not healthy alone does not count: the vehicle may fly without it."""
+    check, gps = mavlink.MAV_SYS_STATUS_PREARM_CHECK, mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    bits = (check | gps, check * enabled | gps, check * healthy)
+    vehicle = VehicleMonitor(PX4)
+    vehicle.on_message(mavlink.MAVLink_sys_status_message(*bits, 0, 0, 0, -1, *[0] * 6), 1.0)
+    assert bool(vehicle.unready) is unready
+    assert vehicle.unhealthy
 
 
 def test_a_boot_is_believed_only_of_a_clock_that_is_young():

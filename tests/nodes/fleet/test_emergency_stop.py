@@ -22,9 +22,11 @@ from ptnsbc_nodes.emergency import (
     VehicleRecord,
     latched,
     list_fleet,
+    records,
     write_record,
 )
-from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+from ptnsbc_nodes.fleet import emergency_stop
+from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop, land_left_behind
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 LAND, KILL = Order("land"), Order("kill")
@@ -251,7 +253,9 @@ class Elsewhere:
         self.orders.append(order)
         if len(self.orders) == 3:  # the first two get lost
             for name, record in self.status.vehicles.items():
-                self.status.vehicles[name] = replace(record, order=order.text, armed=False)
+                self.status.vehicles[name] = replace(
+                    record, order=order.text, armed=False, written_s=time.time()
+                )
 
     def spin(self, seconds):
         pass
@@ -312,6 +316,134 @@ def test_after_a_second_without_an_answer_a_bridge_is_passed_by_whatever_is_know
     assert far.receive() is not None
     assert "told past it by MAVLink, without an answer" in found["bridge1"].text
     far.close()
+
+
+def test_a_state_with_the_order_of_before_is_no_answer_of_a_bridge_that_hangs(bridge, give):
+    """A second `stop`: the bridge had taken the first one, and hangs since."""
+    far = Far()
+    bridge("bridge1", peer=f"127.0.0.1:{far.port}")
+    before = VehicleRecord("bridge1", 0, 0, "", "", heard=True, armed=True, order="land")
+    done, _ = give(LAND, 1.5, remote=LastHeard(replace(before, written_s=time.time())))
+    assert not done
+    assert far.receive() is not None
+    far.close()
+
+
+def test_a_bridge_that_hangs_after_its_answer_is_passed_by(bridge, give):
+    far = Far()
+    one = bridge("bridge1", peer=f"127.0.0.1:{far.port}").open()
+    one.ignores = 10**9
+    answer, answers = one.answer, []
+
+    def hang():
+        answers.append(time.monotonic())
+        return b"" if len(answers) > 3 else answer()
+
+    one.port.close()
+    one.answer = hang
+    one.open()
+    done, found = give(KILL, 1.5)
+    assert not done
+    assert far.receive() is not None
+    assert "does not answer" in found["bridge1"].text
+    far.close()
+
+
+def test_the_way_to_each_vehicle_is_rehearsed(bridge, tmp_path, dead):
+    list_fleet(tmp_path, ["bridge1", "bridge2", "bridge3", "bridge4", "bridge5", "bridge6"])
+    taken, port = Far(), Far()  # the second one only to find a free one
+    free = port.port
+    port.close()
+    one = bridge("bridge1").open()
+    bridge("bridge2", pid=dead, connect=f"udpin:127.0.0.1:{free}")
+    bridge("bridge3", pid=dead, connect=f"udpin:127.0.0.1:{taken.port}")
+    bridge("bridge4", peer="127.0.0.1:9")  # hangs
+    heard = VehicleRecord("bridge5", 0, 0, "", "", heard=True, written_s=time.time() + 60.0)
+    operation = EmergencyStop(tmp_path, LAND, LastHeard(heard))
+    ways, deadline = None, time.monotonic() + PATIENCE_S
+    while ways is None and time.monotonic() < deadline:
+        ways = operation.rehearse()
+    assert ways.pop("bridge3").startswith(f"NOT REACHED: udpin:127.0.0.1:{taken.port}")
+    assert ways == {
+        "bridge1": "by its socket",
+        "bridge2": "past its bridge",
+        "bridge4": "past its bridge",
+        "bridge5": "by the network",
+        "bridge6": "NOT REACHED: it is not heard",
+    }
+    assert one.orders == []
+    operation.close()
+    taken.close()
+
+
+class Flown:
+    """A vehicle whose bridge has died, at its port."""
+
+    def __init__(self, bridge, dead, **changes):
+        port = Far()  # only to find a free one
+        self.far, free = Far(), port.port
+        port.close()
+        self.far.to = ("127.0.0.1", free)
+        bridge("bridge1", pid=dead, connect=f"udpin:127.0.0.1:{free}", **changes)
+
+    def land_left_behind(self, folder, states, seconds=PATIENCE_S):
+        """What is said, and the commands before each of the `states` of the vehicle's HEARTBEAT was over."""
+        said, commands, end = [], [], time.monotonic() + seconds
+
+        def look():
+            state = states[min(len(commands), len(states) - 1)]
+            self.far.send(heartbeat(**state))
+            if select.select([self.far.socket], [], [], 0.0)[0]:
+                message = self.far.receive()
+                if message.get_type() == "COMMAND_LONG":
+                    commands.append(message.command)
+            return time.monotonic() > end
+
+        land_left_behind(folder, {"bridge1"}, look, said.append)
+        self.far.close()
+        return said, commands
+
+
+FLIES = {
+    "base_mode": ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
+    "custom_mode": 4 << 16 | 3 << 24,
+}
+BY_HAND = {**FLIES, "custom_mode": 3 << 16}
+
+
+@pytest.mark.parametrize("changes", [{}, {"armed": False, "step": "arming"}, {"landed": True}])
+def test_a_vehicle_that_a_dead_bridge_left_armed_is_landed_and_waited_for(
+    bridge, dead, tmp_path, changes
+):
+    said, commands = Flown(bridge, dead, **changes).land_left_behind(tmp_path, [FLIES] * 3 + [{}])
+    disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    assert commands[0] == mavlink.MAV_CMD_DO_SET_MODE
+    assert (disarm in commands) == changes.get("landed", False)
+    assert said[-1] == "bridge1: its vehicle is disarmed"
+    (record,) = records(tmp_path)
+    assert not record.armed
+
+
+def test_until_then_it_is_named_and_the_operator_may_end_the_wait(bridge, dead, tmp_path):
+    said, _ = Flown(bridge, dead).land_left_behind(tmp_path, [FLIES], 0.5)
+    assert said == ["armed without a bridge, told to land: bridge1; interrupt to end"]
+
+
+@pytest.mark.parametrize("changes", [{}, {"in_pilots_hands": True}])
+def test_a_pilots_vehicle_is_not_landed_by_a_launcher(bridge, dead, tmp_path, monkeypatch, changes):
+    monkeypatch.setattr(emergency_stop, "_PILOT_S", 0.3)
+    said, commands = Flown(bridge, dead, **changes).land_left_behind(tmp_path, [BY_HAND])
+    assert commands == []
+    if not changes:
+        assert said[-1] == "bridge1: its vehicle is left to its pilot"
+
+
+def test_a_vehicle_that_is_silent_is_given_up(bridge, dead, tmp_path, monkeypatch):
+    monkeypatch.setattr(emergency_stop, "SILENT_S", 0.3)
+    bridge("bridge1", pid=dead, connect="udpout:127.0.0.1:9")
+    said = []
+    land_left_behind(tmp_path, {"bridge1"}, lambda: False, said.append)
+    assert said[-1].startswith("bridge1: not reached, silent; its vehicle was armed at (1.0")
 
 
 def test_bridges_of_other_hosts_are_ordered_until_they_report_it(bridge, give):

@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.emergency import VehicleRecord, runtime_folder, write_record
+from ptnsbc_nodes.emergency import VehicleRecord, last_word, runtime_folder, write_record
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.fleet.supervisor import Supervisor, report_armed
+from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.fleet.takeoff import Launch
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
@@ -235,21 +235,14 @@ def test_at_the_end_it_waits_until_all_have_landed(monkeypatch, tmp_path, stoppe
 
 
 @pytest.mark.ros
-def test_a_landing_takes_240_s_at_most_and_what_is_armed_then_is_named(monkeypatch, tmp_path):
+def test_bridges_are_waited_for_240_s_at_most(monkeypatch, tmp_path):
     fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", "bridge3")
     fleet.end_at(20.0, fleet.bridges[0])
-    fleet.record("bridge1", armed=False)
-    fleet.record("bridge2", fate="without setpoints it hovers")
-    fleet.record("bridge3", mode="LAND", place="(4.0, 5.0, 6.0) m", fate="it lands by itself")
+    for bridge in fleet.bridges:
+        fleet.record(bridge.name)
     fleet.supervisor._land()
     assert 240.0 <= fleet.now_s < 241.0
-    reaches = "ptnsbc stop reaches it past its bridge"
-    assert fleet.said == [
-        "not waited for any longer: bridge2, bridge3",
-        f"bridge2: {WORD}: without setpoints it hovers; {reaches}",
-        "bridge3: its vehicle was armed at (4.0, 5.0, 6.0) m in LAND: it lands by itself; "
-        f"{reaches}",
-    ]
+    assert fleet.said == ["not waited for any longer: bridge2, bridge3"]
 
 
 @pytest.mark.ros
@@ -266,12 +259,23 @@ def test_vehicles_of_pilots_are_waited_for_10_s(monkeypatch, tmp_path):
 
 @pytest.mark.ros
 def test_a_second_signal_ends_the_wait_and_the_armed_are_named(monkeypatch, tmp_path):
-    fleet = Fleet(monkeypatch, tmp_path, "bridge1", stopped=True)
-    fleet.record("bridge1")
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", stopped=True)
+    fleet.record("bridge1", fate="without setpoints it hovers")
+    fleet.record("bridge2", armed=False, landed=True)
     fleet.looks.append(lambda: setattr(fleet.stop, "count", 2 if fleet.now_s > 3.0 else 1))
-    fleet.supervisor._land()
+    fleet.end, fleet.leave, told = lambda _seconds: None, lambda: None, []
+    monkeypatch.setattr(flights, "end", lambda *_: None)
+    monkeypatch.setattr(flights, "land_left_behind", lambda *of: told.append((of[1], of[2]())))
+    for bridge in fleet.bridges:
+        bridge.exit_code = None
+    fleet.supervisor.end()
     assert fleet.now_s < 4.0
-    assert fleet.said == [f"bridge1: {WORD}; ptnsbc stop reaches it past its bridge"]
+    assert told == [({"bridge1", "bridge2"}, True)]
+    assert fleet.said[-1] == (
+        "after the flight: bridge1 armed at (1.0, 2.0, 3.0) m in OFFBOARD: without setpoints it hovers; "
+        "bridge2 disarmed, on the ground at (1.0, 2.0, 3.0) m in OFFBOARD: "
+        "keep away from bridge1: a pilot lands it, or ptnsbc stop"
+    )
 
 
 @pytest.mark.ros
@@ -396,7 +400,6 @@ def test_the_records_of_a_fleet_are_those_of_its_namespace(domain, monkeypatch, 
             "bridge1", os.getpid(), 1, "px4", "", heard=True, armed=True, mode="OFFBOARD"
         )
         write_record(runtime_folder(domain, fleet), replace(record, place=place))
-    said: list[str] = []
     with LauncherNode(domain, "fleet", "/blue") as node:
-        report_armed(node.folder, [Bridge("bridge1"), Child("uav1", 1)], said.append)
-    assert said == [f"bridge1: {WORD}; ptnsbc stop reaches it past its bridge"]
+        word = last_word(node.folder, "bridge1")
+    assert word == f"{WORD}; ptnsbc stop reaches it past its bridge"

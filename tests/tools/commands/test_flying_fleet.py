@@ -3,6 +3,7 @@
 import os
 import pty
 import re
+import time
 from dataclasses import replace
 
 import pytest
@@ -272,10 +273,17 @@ def test_ready_waits_for_a_key(bridge, middleware, monkeypatch, capsys):
     master, terminal = pty.openpty()
     with os.fdopen(terminal) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        middleware.spin = lambda _seconds: os.write(master, b"x")
+        looks = []
+
+        def spin(_seconds):
+            looks.append(1)
+            return os.write(master, b"x") if len(looks) == 20 else time.sleep(0.01)
+
+        middleware.spin = spin
         assert give(kill=True, ready=True) == 0
     os.close(master)
     printed = capsys.readouterr().err
+    assert "ready: any key: STOP ALL MOTORS: bridge1 by its socket (Ctrl-C: no order)" in printed
     assert "bridge1: motors stopped after 0." in printed
 
 

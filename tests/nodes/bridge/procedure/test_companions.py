@@ -1,18 +1,29 @@
 """The other vehicles before the flight: ready, armed, and where they stand."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Companions
+from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, Placement
 from ptnsbc_nodes.bridge.procedure.steps import Companion, Step
 
 KEEP_OUT_M, SPACING_M = 0.5, 1.0
 
 
-def companions(*awaited, own=2, wide=()):
-    keep_outs_m = {uav: 3 * KEEP_OUT_M if uav in wide else KEEP_OUT_M for uav in range(1, 9)}
-    return Companions(own, frozenset(awaited), keep_outs_m, SPACING_M)
+def companions(*awaited, own=2, wide=(), error_m=0.0):
+    """A vehicle at its start, in the origin, that hears the bridges of others."""
+    mavlink = SimpleNamespace(start_tolerance_m=1.0, climb_spacing_m=SPACING_M)
+    scenario = SimpleNamespace(
+        mavlink=mavlink,
+        uav=lambda _uav: SimpleNamespace(position=(0.0, 0.0, 0.0)),
+        keep_out_between=lambda _own, uav: 3 * KEEP_OUT_M if uav in wide else KEEP_OUT_M,
+    )
+    vehicle = SimpleNamespace(gnss=SimpleNamespace(error_m=error_m))
+    here = SimpleNamespace(odometry=np.array([0.0, 0.0, 0.3]))
+    return Placement(scenario, own, frozenset(awaited), vehicle, here)
 
 
 def other(step=Step.READY, x=0.0, y=0.0, error_m=0.0, height_m=0.0, fault=""):
@@ -69,9 +80,9 @@ def test_who_gives_up_is_named_with_its_reason():
      (1.01, (0.3, 0.4), False)],
 )  # fmt: skip
 def test_vehicles_that_stand_at_one_place_are_not_armed(apart_m, errors_m, refused):
-    one = companions(1)
+    one = companions(1, error_m=errors_m[0])
     one.report(1, other(x=apart_m, error_m=errors_m[1]), 0.0)
-    text = one.too_near((0.0, 0.0, 0.3), errors_m[0])
+    text = one.misplaced()
     assert bool(text) is refused
     if refused:
         assert f"stands {apart_m:.2f} m from the vehicle of bridge1" in text
@@ -81,17 +92,16 @@ def test_who_stands_close_climbs_in_the_order_of_the_ids():
     second = companions(1, 3)
     second.report(1, other(Step.TAKEOFF, x=1.2, height_m=0.5), 0.0)
     second.report(3, other(Step.ARMED, x=1.0), 0.0)
-    here = ((0.0, 0.0, 0.0), 0.0)
-    assert second.climbs_first(*here) == "bridge1"
+    assert second.climbs_first() == "bridge1"
     second.report(1, other(Step.TAKEOFF, x=1.2, height_m=1.6), 0.2)
-    assert second.climbs_first(*here) == ""
+    assert second.climbs_first() == ""
     second.report(1, other(Step.ARMED, x=1.6), 0.4)  # far enough: side by side
-    assert second.climbs_first(*here) == ""
+    assert second.climbs_first() == ""
 
 
 def test_a_vehicle_with_a_keep_out_of_its_own_needs_more_room():
-    pair, here = companions(1, wide=(1,)), ((0.0, 0.0, 0.0), 0.0)
+    pair = companions(1, wide=(1,))
     pair.report(1, other(x=1.4), 0.0)
-    assert "expected at least 1.50 m, the keep-out of 1.5 m" in pair.too_near(*here)
+    assert "expected at least 1.50 m, the keep-out of 1.5 m" in pair.misplaced()
     pair.report(1, other(x=2.4), 0.0)
-    assert (pair.too_near(*here), pair.climbs_first(*here)) == ("", "bridge1")
+    assert (pair.misplaced(), pair.climbs_first()) == ("", "bridge1")

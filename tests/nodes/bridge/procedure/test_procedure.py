@@ -25,13 +25,14 @@ def test_from_heartbeat_to_disarmed(autopilot):
     flight = Flight(autopilot).flying()
     steps = list(dict.fromkeys(step for _, step, _ in flight.history))
     # steps that are over before they begin are passed within one call
-    assert steps[-4:] == [Step.ARM, Step.TAKEOFF, Step.AIRBORNE, Step.FLY][-len(steps[-4:]) :]
+    assert steps[-3:] == [Step.TAKEOFF, Step.AIRBORNE, Step.FLY]
     assert flight.history[-1][2].stream is Stream.PLANNER
     flight.run(until=Step.DONE, leg="land")
     assert flight.procedure.fault == ""
     requested = list(dict.fromkeys(flight.requested()))
     expected = [
         CommandRequest.OWN_MODE,
+        CommandRequest.CHECK,
         CommandRequest.ARM,
         CommandRequest.TAKEOFF,
         CommandRequest.LAND,
@@ -136,11 +137,80 @@ def test_arming_refused():
     assert flight.history[-1][2] == (Stream.NONE, None, False)
 
 
-def test_a_vehicle_that_does_not_climb_is_landed():
+def test_a_vehicle_that_does_not_climb_is_disarmed():
     flight = Flight(ARDUPILOT)
     flight.ignored = {CommandRequest.TAKEOFF}
-    flight.run(until=Step.LAND)
+    flight.run(until=Step.DISARM).run(until=Step.FAILED)
     assert "taking off: not within 60 s: at 0.0 m of 3 m" in flight.procedure.fault
+    assert not flight.snapshot.armed
+
+
+def test_no_vehicle_is_ready_before_its_own_checks_pass():
+    refused = {"unready": "its pre-arm check fails", "vehicle_warning": "not healthy: gps"}
+    flight = Flight().run(until=Step.CHECKS, not_ready="bridge2").run(20.0, **refused)
+    assert flight.step is Step.CHECKS
+    assert CommandRequest.CHECK in flight.requested()
+    flight.run(until=Step.READY, unready="").run(5.0)
+    flight.run(until=Step.CHECKS, **refused)  # also while it waits for the others
+    flight.run(until=Step.FAILED)
+    assert flight.procedure.fault == (
+        "waiting for its pre-arm checks: not within 30 s: its pre-arm check fails (not healthy: gps)"
+    )
+    assert CommandRequest.ARM not in flight.requested()
+
+
+@pytest.mark.parametrize(
+    ("change", "end"),
+    [
+        ({"stop_request": "land"}, Step.DONE),
+        ({"stop_request": "kill"}, Step.FAILED),
+        ({"controller_age_s": 1.0}, Step.FAILED),
+        ({"state_fault": "GPS fix lost"}, Step.FAILED),
+        ({}, Step.FAILED),  # its time is over
+    ],
+)
+def test_an_order_to_arm_that_takes_effect_late_is_taken_back(change, end):
+    """HEARTBEAT shows an arming up to a second later: the bridge had ended, and the rotors turned."""
+    flight = Flight()
+    flight.ignored = {CommandRequest.ARM}
+    flight.run(until=Step.ARM).run(0.2).run(until=Step.DISARM, **change)
+    flight.ignored = {CommandRequest.DISARM}
+    flight.run(1.0, armed=True)
+    flight.ignored = set()
+    flight.run(until=end)
+    assert not flight.snapshot.armed
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"stop_request": "land"},
+        {"hazard": "told by another bridge"},
+        {"battery_low": "battery at 9 %"},
+        {"controller_age_s": 9.0},
+        {"mode": FlightMode.HOLD},  # by its failsafe, or a pilot's switch
+    ],
+)
+def test_what_ends_a_take_off_on_the_ground_disarms_the_vehicle_there(change):
+    flight = Flight()
+    flight.run(until=Step.ARMED, not_armed="bridge2")
+    flight.obeys = False
+    flight.run(until=Step.TAKEOFF, not_armed="").run(until=Step.DISARM, **change)
+    flight.run(2.6)
+    assert CommandRequest.KILL in flight.requested()  # forced: it never left the ground
+    in_the_air = Flight().run(until=Step.ARMED, not_armed="bridge2")
+    in_the_air.obeys = False
+    in_the_air.run(until=Step.TAKEOFF, not_armed="").run(1.0, height_m=2.0, landed=False)
+    in_the_air.run(20.0, **change)
+    assert CommandRequest.DISARM not in in_the_air.requested()
+
+
+def test_a_bridge_that_starts_in_flight_never_forces_a_vehicle_of_which_it_does_not_know_the_ground():
+    flight = Flight()
+    flight.obeys = False
+    flight.run(until=Step.ARMED, armed=True, mode=FlightMode.OWN, not_armed="bridge2")
+    flight.run(until=Step.DISARM, companion_out="bridge2 failed").run(9.0)
+    assert CommandRequest.KILL not in flight.requested()
 
 
 def test_disarmed_again_before_it_took_off():

@@ -50,6 +50,7 @@ def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
     assert flight.procedure.fault == "no setpoints: the controller is silent"
+    assert flight.procedure.concern == ""  # it counts no longer
     assert flight.requested(back) == []
 
 
@@ -245,7 +246,7 @@ def test_holding_apart_needs_no_controller():
 def test_a_formation_given_up_during_the_take_off_lands_at_once():
     flight = Flight()
     flight.obeys = False
-    flight.run(5.0, mode=FlightMode.OWN).run(until=Step.TAKEOFF, armed=True)
+    flight.run(5.0, mode=FlightMode.OWN).run(until=Step.TAKEOFF, armed=True).run(1.0, height_m=1.0)
     flight.run(until=Step.LAND, hazard="told by another bridge")
 
 
