@@ -165,6 +165,19 @@ def trim(
         print(f"{console.counted(count, 'message')}: {output}")
 
 
+@bag.command(
+    hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
+)
+def merge() -> None:
+    """Refused: other programs merge bags."""
+    from ptnsbc_io.bag import BagError
+
+    raise BagError(
+        "bag merge: no such command any more: expected `mcap merge A.mcap B.mcap -o C.mcap` (the program mcap), "
+        "or `ros2 bag convert` with an -i for each bag"
+    )
+
+
 @bag.command()
 def record(
     output: Annotated[
