@@ -20,22 +20,23 @@ help:  ## List the targets
 setup:  ## Make .venv with what flying needs; the targets below add what they need to it
 	@requirements/setup.sh
 
-# What a target needs besides: setup-test adds the packages of tests, setup-messages builds what the wheels of ROS lack.
+# What a target needs besides: setup-test adds the packages of tests, setup-messages builds what the wheels of ROS lack,
+# setup-test-messages does both at once.
 setup-%:
-	@requirements/setup.sh $*
+	@requirements/setup.sh $(subst -, ,$*)
 
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
 test slow repeat: export ROS_PYTHON_CHECK_FIELDS := 1
 test slow repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Containers tend to set it: every process of the tests would compile every module of ours.
 test slow repeat: export PYTHONDONTWRITEBYTECODE :=
-test: setup-test setup-site setup-messages  ## Run the quick tests, those in real time last, and say why any are skipped
+test: setup-test-site-messages  ## Run the quick tests, those in real time last, and say why any are skipped
 	@time $(BIN)/python tests/run.py quick $(JOBS) $(ARGS)
 
-slow: setup-test setup-site setup-messages  ## Run the tests that take more than five seconds each, such as flights of processes
+slow: setup-test-site-messages  ## Run the tests that take more than five seconds each, such as flights of processes
 	@time $(BIN)/python tests/run.py slow $(JOBS)
 
-repeat: setup-test setup-site setup-messages  ## Run the quick tests N times, every second time beside busy loops
+repeat: setup-test-site-messages  ## Run the quick tests N times, every second time beside busy loops
 	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS) $(ARGS)
 
 fuzz: setup  ## Mutated bags, scenarios, messages and packets: make fuzz ARGS="--seconds 600"
@@ -53,7 +54,7 @@ site: setup-site  ## Build all pages as a site, searched without a network: buil
 results: setup  ## Fly the paper again: docs/results.md, tables.md, envelope.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
 
-commands: setup-test setup-messages  ## Run every command in README and docs, in a scratch clone
+commands: setup-test-messages  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)
 
 bench: setup  ## Measure the figures that the pages quote
@@ -68,7 +69,7 @@ lint: setup-lint  ## ruff (style, layering), formatting, mypy, nothing newer tha
 format: setup-lint  ## Let ruff format the code and fix what it can
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
-colcon: setup-colcon setup-messages  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
+colcon: setup-colcon-messages  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
 	@time ros2_ws/fly.sh
 
 wheels:  ## Wheels of the message packages in dist/, for each Python 3.10 to 3.13 here: install them where no compiler is

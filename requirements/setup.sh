@@ -150,15 +150,23 @@ if [ "$(cat .venv/.mode 2>/dev/null)" != "$mode" ] || ! .venv/bin/python -c '' 2
 fi
 part runtime make_runtime "requirements/$kind/runtime.lock"
 part project make_project pyproject.toml setup.py ros2_ws/shell.py
-for set in "$@"; do
-  lock=requirements/$kind/$set.lock
-  if [ "$set" != messages ]; then
-    [ -e "$lock" ] || die "no $lock; the sets are messages, $(basename -s .lock requirements/$kind/*.lock | paste -sd, | sed 's/,/, /g')"
-    part "$set" make_set "$lock"
-  elif [ $kind = plain ]; then
-    messages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces)
-    mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces "${messages[@]}" -type f | sort -u)
+# The messages are compiled while the packages of the other sets come.
+compiling=
+if [ $kind = plain ] && [[ " $* " == *" messages "* ]]; then
+  messages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces)
+  mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces "${messages[@]}" -type f | sort -u)
+  (
+    parts=()
     part messages make_messages "${sources[@]}"
-  fi
+    [ ${#parts[@]} = 0 ] || say "${parts[*]}"
+  ) &
+  compiling=$!
+fi
+for set in "$@"; do
+  [ "$set" != messages ] || continue
+  lock=requirements/$kind/$set.lock
+  [ -e "$lock" ] || die "no $lock; the sets are messages, $(basename -s .lock requirements/$kind/*.lock | paste -sd, | sed 's/,/, /g')"
+  part "$set" make_set "$lock"
 done
+[ -z "$compiling" ] || wait "$compiling"
 [ ${#parts[@]} = 0 ] || say "done in $SECONDS s ($(IFS=,; echo "${parts[*]}" | sed 's/,/, /g')); .venv has $(du -sm .venv | cut -f1) MB"

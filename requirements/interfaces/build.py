@@ -22,7 +22,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
-from functools import partial
+from functools import cache, partial
 from io import StringIO
 from pathlib import Path
 
@@ -54,11 +54,7 @@ setup(
 )
 """
 
-_C, _FASTRTPS, _INTROSPECTION = (
-    "rosidl_generator_c",
-    "rosidl_typesupport_fastrtps_c",
-    "rosidl_typesupport_introspection_c",
-)
+_C, _FASTRTPS = "rosidl_generator_c", "rosidl_typesupport_fastrtps_c"
 _TYPE_SUPPORT, _PYTHON = "rosidl_typesupport_c", "rosidl_generator_py"
 _DEPENDENCIES = ("depend", "build_depend", "exec_depend", "build_export_depend")
 _JOBS = min(4, os.cpu_count() or 1)
@@ -106,20 +102,21 @@ class Package:
         from rosidl_generator_c import generate_c
         from rosidl_generator_py import generate_py
         from rosidl_generator_type_description import generate_type_hash
+        from rosidl_parser import parser
         from rosidl_typesupport_c import generate_c as generate_type_support
         from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
-        from rosidl_typesupport_introspection_c import generate_c as generate_introspection
 
+        # Each of the five generators parses all definitions, which is a quarter of their time.
+        parser.get_ast_from_idl_string = cache(parser.get_ast_from_idl_string)
         for path in self.definitions:
             relative = path.relative_to(self.source)
             convert_to_idl(self.source, self.name, relative, self.work / "idl")
         generate_type_hash(self._arguments("rosidl_generator_type_description", _C))
         generate_c(self._arguments(_C))
         generate_typesupport_fastrtps_c(self._arguments(_FASTRTPS))
-        generate_introspection(self._arguments(_INTROSPECTION))
-        generate_type_support(self._arguments(_TYPE_SUPPORT), [_FASTRTPS, _INTROSPECTION])
-        generate_py(self._arguments(_PYTHON), [_TYPE_SUPPORT, _FASTRTPS, _INTROSPECTION])
-        for generator in (_C, _FASTRTPS, _INTROSPECTION):
+        generate_type_support(self._arguments(_TYPE_SUPPORT), [_FASTRTPS])
+        generate_py(self._arguments(_PYTHON), [_TYPE_SUPPORT])
+        for generator in (_C, _FASTRTPS):
             name = f"{generator}__visibility_control.h"
             generate_visibility_control_file(
                 package_name=self.name,
@@ -168,22 +165,15 @@ class Package:
             [_FASTRTPS, _C],
         )
         self._library(
-            _INTROSPECTION,
-            "*/detail/*.c",
-            [own(_C), _INTROSPECTION, "rosidl_runtime_c"],
-            [_INTROSPECTION, _C],
-        )
-        self._library(
             _TYPE_SUPPORT,
             "*/*.cpp",
-            [own(_C), own(_FASTRTPS), own(_INTROSPECTION), _TYPE_SUPPORT],
+            [own(_C), own(_FASTRTPS), _TYPE_SUPPORT],
             [_TYPE_SUPPORT],
         )
         self._library(_PYTHON, "*/*_s.c", [own(_C), own(_TYPE_SUPPORT)], [_PYTHON, _C])
-        for kind in (_TYPE_SUPPORT, _FASTRTPS, _INTROSPECTION):
-            sources = [self._made(_PYTHON) / f"_{self.name}_s.ep.{kind}.c"]
-            target = site / f"{self.name}_s__{kind}{sysconfig.get_config_var('EXT_SUFFIX')}"
-            self._link(target, sources, [own(_PYTHON), own(kind), own(_TYPE_SUPPORT), own(_C)])
+        sources = [self._made(_PYTHON) / f"_{self.name}_s.ep.{_TYPE_SUPPORT}.c"]
+        target = site / f"{self.name}_s__{_TYPE_SUPPORT}{sysconfig.get_config_var('EXT_SUFFIX')}"
+        self._link(target, sources, [own(_PYTHON), own(_TYPE_SUPPORT), own(_C)])
 
     def _library(
         self, kind: str, sources: str, libraries: Iterable[str], of_needs: Iterable[str] = ()
@@ -196,7 +186,7 @@ class Package:
     def _link(self, target: Path, sources: list[Path], libraries: Iterable[str]) -> None:
         import numpy
 
-        generated = (self.work / kind for kind in (_C, _FASTRTPS, _INTROSPECTION))
+        generated = (self.work / kind for kind in (_C, _FASTRTPS))
         folders = [path for path in INCLUDE.iterdir() if path.is_dir()]
         python = [sysconfig.get_path("include"), numpy.get_include()]
         includes = [f"-I{path}" for path in (*generated, *folders, INCLUDE, *python)]
@@ -235,8 +225,12 @@ class Package:
         for resource, text in (("packages", ""), ("rosidl_interfaces", "\n".join(listed))):
             (index / resource).mkdir(parents=True, exist_ok=True)
             (index / resource / self.name).write_text(text, encoding="utf-8")
-        for path in (self.out / "lib").iterdir():
-            _replace(path, lib / path.name)
+        made = {path.name for path in (self.out / "lib").iterdir()}
+        for path in lib.glob(f"lib{self.name}__*.so"):
+            if path.name not in made:  # of an older build
+                path.unlink()
+        for name in made:
+            _replace(self.out / "lib" / name, lib / name)
         _replace(self.out / "site" / self.name, site / self.name)
 
     def make_wheel(self, folder: Path) -> None:
