@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import maxwell
+from scipy.special import gammainc
 
 from paper.experiment_result import ExperimentResult, Figure, Table
 from paper.figures import paths, style
@@ -118,7 +118,8 @@ def fixes_only_bound(tolerance_m: float) -> tuple[float, float, float]:
     flown = scenario("experiment_4")
     own_m = position_std_m(position_noise_of(flown), flown.timing.dt_ns * 1e-9)
     pair_m = np.sqrt(2.0) * own_m
-    share = float(maxwell.cdf(tolerance_m / pair_m)) ** len(flown.followers)
+    within = gammainc(1.5, 0.5 * (tolerance_m / pair_m) ** 2)  # of a Maxwell distribution
+    share = float(within) ** len(flown.followers)
     return own_m, float(np.sqrt(3.0) * pair_m), share
 
 

@@ -16,7 +16,6 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
@@ -137,6 +136,8 @@ def generator(plan: SweepPlan, k: int, name: str) -> np.random.Generator:
 @lru_cache(maxsize=4)
 def _design(seed: int, draws: int, width: int) -> Array:
     """Latin hypercube (draws, width) in [0, 1)."""
+    from scipy.stats import qmc  # late: a second, and few ask for it
+
     words = (zlib.crc32(b"latin hypercube"),)
     rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=words)))
     found: Array = qmc.LatinHypercube(width, seed=rng).random(draws)

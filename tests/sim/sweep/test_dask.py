@@ -14,12 +14,12 @@ from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.runner import run
 
 pytest.importorskip("pyarrow")
-distributed = pytest.importorskip("distributed")
 
 pytestmark = pytest.mark.slow
 
 
 def test_the_table_is_the_same_with_two_workers_killed(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")  # late: a second
     scenario = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
     plan = plan_of(scenario, 150, starts=parse_starts("near:0.3"))
     here = run(plan, tmp_path / "here", workers=2)
