@@ -28,9 +28,9 @@ class TargetPoint(NamedTuple):
 
 
 def _constant(kind: float) -> Array:
+    # nobody writes it, but for an array that cannot be written numba compiles the airframe again
     target = airframe.no_target()
     target[airframe.KIND] = kind
-    target.setflags(write=False)
     return target
 
 

@@ -53,8 +53,8 @@ def test_gram_matrix(m: np.ndarray) -> None:
 
 @given(m=matrices)
 def test_eigen_decomposition(m: np.ndarray) -> None:
+    values, vectors = eigen3(gram3(m))
     gram = np.array(gram3(m))
-    values, vectors = eigen3(gram)
     vectors3 = np.array(vectors).T  # as columns
     size = max(np.abs(gram).max(), 1e-12)
     np.testing.assert_allclose(vectors3 @ vectors3.T, np.eye(3), atol=1e-13)
@@ -66,7 +66,7 @@ def test_eigen_decomposition(m: np.ndarray) -> None:
     "gram", [np.zeros((3, 3)), np.eye(3), np.ones((3, 3)), np.diag([1e8, 1.0, 1e-8])]
 )
 def test_eigen_decomposition_of_special_matrices(gram: np.ndarray) -> None:
-    values, vectors = eigen3(gram)
+    values, vectors = eigen3(tuple(tuple(row.tolist()) for row in gram))
     vectors3 = np.array(vectors).T
     np.testing.assert_allclose(np.sort(values), np.linalg.eigvalsh(gram), atol=1e-14, rtol=1e-9)
     np.testing.assert_allclose(vectors3 @ vectors3.T, np.eye(3), atol=1e-14)

@@ -19,6 +19,7 @@ from ptnsbc_core.types import (
     Estimate,
 )
 from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.plants.contract import six
 from ptnsbc_sim.plants.integrate import advance, odometry
 from ptnsbc_sim.plants.integrate import initial_state as plant_state
 from ptnsbc_sim.scenario import agent_config, load_scenario
@@ -104,7 +105,7 @@ class Flown:
     """One UAV on its plant, with messages that the test makes up."""
 
     def __init__(self, uav: int, plant: str = "quadrotor", at=(0.0, 0.0, 0.0), config=None):
-        self.plant = plant_config(scenario_of(plant), uav)._replace(amplitude=np.zeros(6))
+        self.plant = plant_config(scenario_of(plant), uav)._replace(amplitude=six(np.zeros(6)))
         self.body = plant_state(np.array(at, dtype=float), np.zeros(3), self.plant)
         self.agent = Agent(config or config_of(uav, plant), self.own)
         self.tick = 0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from on_arrays import on_arrays
 
+from ptnsbc_core.algebra import odometry_tuple
 from ptnsbc_core.behaviours.mission import attitude, hold_velocity, leader_tracking
 from ptnsbc_core.behaviours.recovery import UNDISTURBED
 from ptnsbc_core.curves.trajectory import reference
@@ -103,7 +104,7 @@ def test_attitude_decays_in_closed_form() -> None:
     euler, own = np.ones(3), np.zeros(13)
     for k in range(round(loop.duration_s / DT)):
         own[3:7] = quaternion_from_euler(euler)
-        rates, error = attitude(own, 0.2, NONE, Clock(k * DT, k * DT, DT), config)
+        rates, error = attitude(odometry_tuple(own), 0.2, NONE, Clock(k * DT, k * DT, DT), config)
         np.testing.assert_allclose(error, [-euler[0], -euler[1], 0.2 - euler[2]], atol=1e-12)
         euler = euler + DT * euler_rates(euler, rates)
     left = loop.residual / (1.0 + loop.residual)
@@ -114,5 +115,5 @@ def test_yaw_is_turned_the_short_way() -> None:
     config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)
     own = np.zeros(13)
     own[3:7] = quaternion_from_euler(np.array([0.0, 0.0, 3.0]))
-    _, error = attitude(own, -3.0, NONE, Clock(0.0, 0.0, DT), config)
+    _, error = attitude(odometry_tuple(own), -3.0, NONE, Clock(0.0, 0.0, DT), config)
     assert error[2] == pytest.approx(2.0 * np.pi - 6.0)

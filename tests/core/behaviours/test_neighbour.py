@@ -119,6 +119,7 @@ def messages(positions, velocities):
 
 def mean_of(states, ages, weights, shifts):
     mean = np.full(13, math.nan)
+    shifts = np.ascontiguousarray(shifts)
     age_s = laws.mean_parent(states, np.asarray(ages), weights, shifts, STALE_S, mean)
     return mean, age_s
 

@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays, tuples
 from scipy.spatial.transform import Rotation
 
+from ptnsbc_core.algebra import odometry_tuple
 from ptnsbc_core.control import quadrotor_control as laws
 from ptnsbc_core.control.rigid_body_control import VelocityReference, initial_observer
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import AdaptationState, ControllerConfig
 from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.plants.contract import six
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -95,7 +97,9 @@ def control(own: np.ndarray, k: int, carried, config: ControllerConfig = CONFIG,
     still = np.zeros(3)
     command = VelocityReference(still if velocity is None else velocity, still, still, still, 0.0)
     clock = Clock(k * DT, k * DT, DT)
-    return laws.quadrotor_control(own, tuples(command), carried, clock, config, 12.0)
+    return laws.quadrotor_control(
+        odometry_tuple(own), tuples(command), carried, clock, config, 12.0
+    )
 
 
 def fresh(own: np.ndarray) -> AdaptationState:
@@ -115,10 +119,9 @@ def test_at_rest_the_first_thrust_carries_the_weight(attitude) -> None:
 
 def flown(start: np.ndarray, seconds: float, push=None, config: ControllerConfig = CONFIG):
     """Tilt [rad], velocity (T, 3) and observer (T, 3) of a closed loop that asks for standstill."""
-    push = np.zeros(6) if push is None else push
-    plant = plant_config(SCENARIO, 1)._replace(
-        amplitude=np.zeros(6), phase=np.zeros(6), offset=push
-    )
+    none = six(np.zeros(6))
+    push = none if push is None else six(push)
+    plant = plant_config(SCENARIO, 1)._replace(amplitude=none, phase=none, offset=push)
     state = start
     carried = fresh(odometry(state, plant))
     tilts, velocities, observers = [], [], []

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from on_arrays import on_arrays, tuples
 
+from ptnsbc_core.algebra import odometry_tuple
 from ptnsbc_core.control import rigid_body_control as laws
 from ptnsbc_core.control.rigid_body_control import (
     VelocityReference,
@@ -28,7 +29,7 @@ from ptnsbc_core.types import (
     LoopGain,
 )
 from ptnsbc_sim.plants import rigid_body
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.contract import PlantConfig, six
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -58,7 +59,7 @@ class Controlled(NamedTuple):
 def control(own, command, parameters, bound, clock, config) -> Controlled:
     """`rigid_body_control` with Psi_hat (4,) and delta_hat (2,)."""
     before = AdaptationState(psi(parameters), tuples(bound), initial_observer((0.0, 0.0, 0.0)))
-    out = laws.rigid_body_control(own, tuples(command), before, clock, config)
+    out = laws.rigid_body_control(odometry_tuple(own), tuples(command), before, clock, config)
     learned = out.adapted
     return Controlled(
         np.array([*out.force, *out.torque]),
@@ -88,20 +89,20 @@ def config_of(**changes) -> ControllerConfig:
 
 
 def plant_of(push: np.ndarray | None = None, mass: float = MASS) -> PlantConfig:
-    none = np.zeros(6)
+    none = six(np.zeros(6))
     return PlantConfig(
         0,
         mass,
-        INERTIA,
+        tuples(INERTIA),
         GRAVITY,
         np.inf,
-        np.full(3, np.inf),
+        (np.inf, np.inf, np.inf),
         0.0,
         0.0,
         np.zeros(3),
         none,
         none,
-        none if push is None else push,
+        none if push is None else six(push),
     )
 
 

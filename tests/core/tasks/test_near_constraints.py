@@ -223,18 +223,18 @@ def test_an_encounter_is_followed_while_its_object_moves() -> None:
     for k in range(15):
         memory = met(memory, near_of((0.5 * k, 0, 0)))
     assert memory[:, USED].sum() == 1
-    assert active_time(memory, np.array([7.0, 0, 0])) == pytest.approx(15 * DT)
+    assert active_time(memory, (7.0, 0.0, 0.0)) == pytest.approx(15 * DT)
 
 
 def test_an_encounter_ends_when_it_has_been_quiet() -> None:
     memory = met(empty_memory(), near_of((0, 0, 0)), ticks=5)
     for _ in range(9):
         memory = met(memory, near_of((0, 0, 0)), hit=0.0)
-    assert active_time(memory, np.zeros(3)) == pytest.approx(5 * DT)
+    assert active_time(memory, (0.0, 0.0, 0.0)) == pytest.approx(5 * DT)
     assert memory[0, QUIET_S] == pytest.approx(0.9)
     memory = met(memory, near_of((0, 0, 0)), ticks=2, hit=0.0)
     assert memory[:, USED].sum() == 0
-    assert active_time(memory, np.zeros(3)) == 0.0
+    assert active_time(memory, (0.0, 0.0, 0.0)) == 0.0
     assert met(memory, near_of((0, 0, 0)), side=-1.0)[0, SIDE] == -1.0
 
 

@@ -7,7 +7,7 @@ from paper.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from paper.baselines.terminal import Axis, demanded, torque_for, turning_forward
 from ptnsbc_core.kinematics import body_rates, euler_rates
 from ptnsbc_core.types import PLANT_RIGID_BODY
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.contract import PlantConfig, six
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 
 DT = 1e-3
@@ -58,9 +58,9 @@ def test_turning_forward_by_differences() -> None:
 
 @both
 def test_a_body_that_starts_at_one_radian_is_level_before_its_deadline(kind, power) -> None:
-    still = np.zeros(6)
+    still = six(np.zeros(6))
     plant = PlantConfig(
-        PLANT_RIGID_BODY, 1.2, INERTIA, 9.81, np.inf, np.full(3, np.inf), 0.0, 0.0,
+        PLANT_RIGID_BODY, 1.2, tuple(INERTIA.tolist()), 9.81, np.inf, (np.inf, np.inf, np.inf), 0.0, 0.0,
         np.zeros(3), still, still, still,
     )  # fmt: skip
     state = initial_state(np.zeros(3), np.ones(3), plant)

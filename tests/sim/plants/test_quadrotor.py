@@ -5,7 +5,7 @@ import pytest
 
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.types import PLANT_QUADROTOR, PLANT_RIGID_BODY
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.contract import PlantConfig, six
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 
 MASS, INERTIA, GRAVITY, LAG = 1.2, np.array([0.019, 0.025, 0.031]), 9.81, 0.02
@@ -14,10 +14,11 @@ RATES = np.array([1.0, -0.5, 2.0])
 
 
 def plant_of(**changes) -> PlantConfig:
-    none = np.zeros(6)
-    limits = (25.0, np.array([1.5, 1.5, 0.3]), LAG, 0.0)
+    none = six(np.zeros(6))
+    limits = (25.0, (1.5, 1.5, 0.3), LAG, 0.0)
+    inertia = tuple(INERTIA.tolist())
     return PlantConfig(
-        PLANT_QUADROTOR, MASS, INERTIA, GRAVITY, *limits, np.zeros(3), none, none, none
+        PLANT_QUADROTOR, MASS, inertia, GRAVITY, *limits, np.zeros(3), none, none, none
     )._replace(**changes)
 
 
@@ -97,7 +98,7 @@ def test_terminal_velocity_of_a_fall() -> None:
 
 
 def test_integration_is_of_fourth_order() -> None:
-    plant = plant_of(drag=0.3, amplitude=np.full(6, 0.5))
+    plant = plant_of(drag=0.3, amplitude=six(np.full(6, 0.5)))
     wrench = thrust_of(14.0, (0.02, -0.03, 0.01))
     start = state_of(euler=(0.2, 0.1, 0.3), rates=RATES)
     exact = flown(start, plant, 0.2, wrench, dt=0.2, substeps=4000)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.types import PLANT_RIGID_BODY
 from ptnsbc_sim.plants.build import plant_config
-from ptnsbc_sim.plants.contract import PlantConfig, disturbance, no_waves, update_waves
+from ptnsbc_sim.plants.contract import PlantConfig, disturbance, no_waves, six, update_waves
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -17,10 +17,11 @@ RATES = np.array([1.0, -0.5, 2.0])
 
 
 def plant_of(gravity: float = GRAVITY, **changes) -> PlantConfig:
-    none = np.zeros(6)
-    unlimited = (np.inf, np.full(3, np.inf), 0.0, 0.0)
+    none = six(np.zeros(6))
+    unlimited = (np.inf, (np.inf, np.inf, np.inf), 0.0, 0.0)
+    inertia = tuple(INERTIA.tolist())
     return PlantConfig(
-        PLANT_RIGID_BODY, MASS, INERTIA, gravity, *unlimited, np.zeros(3), none, none, none
+        PLANT_RIGID_BODY, MASS, inertia, gravity, *unlimited, np.zeros(3), none, none, none
     )._replace(**changes)
 
 
@@ -75,7 +76,7 @@ def test_total_energy_is_kept_in_free_fall() -> None:
 
 
 def test_integration_is_of_fourth_order() -> None:
-    plant = plant_of(amplitude=np.full(6, 0.5))
+    plant = plant_of(amplitude=six(np.full(6, 0.5)))
     wrench = np.array([1.0, -2.0, 12.0, 0.01, 0.02, -0.01])
     start = state_of(rates=RATES)
     exact = flown(start, plant, 0.4, dt=0.4, substeps=2000, wrench=wrench)
@@ -132,9 +133,9 @@ def test_steady_turn_about_one_axis() -> None:
 
 
 def test_disturbance_is_an_acceleration() -> None:
-    amplitude = np.array([0.2, 0.1, 0.0, 0.0, 0.0, 0.3])
-    phase = np.array([np.pi / 2, 0, 0, 0, 0, 0])
-    offset = np.array([0.0, 0, 0.05, 0, 0, 0])
+    amplitude = six([0.2, 0.1, 0.0, 0.0, 0.0, 0.3])
+    phase = six([np.pi / 2, 0, 0, 0, 0, 0])
+    offset = six([0.0, 0, 0.05, 0, 0, 0])
     plant = plant_of(gravity=0.0, amplitude=amplitude, phase=phase, offset=offset)
     t = 0.7
     waves = no_waves(1)
@@ -143,7 +144,7 @@ def test_disturbance_is_an_acceleration() -> None:
     np.testing.assert_allclose(
         push, [0.2 * np.cos(t), 0.1 * np.sin(t), 0.05, 0, 0, 0.3 * np.sin(t)]
     )
-    still = plant._replace(amplitude=amplitude * [1, 1, 1, 1, 1, 0])
+    still = plant._replace(amplitude=six([*amplitude[:5], 0.0]))
     end = flown(state_of(euler=(0.0, 0.0, 0.0)), still, 3.0)
     expected = [0.2 * np.sin(3.0), 0.1 * (1.0 - np.cos(3.0)), 0.15]
     np.testing.assert_allclose(end[6:9], expected, atol=1e-10)
