@@ -1,4 +1,4 @@
-"""The order of the tests, for several workers: about 2000 tests, of which thirty take most of the time."""
+"""What several workers share: the files to collect, the laws to compile, and the order of the tests."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ import real_time
 from ptnsbc_nodes.emergency import forget_dead, release
 
 HERE = Path(__file__).parent
-# Folders and files below tests/ that run, or read bags, without a compiled law.
+# Folders and files below tests/ that run without a whole control step.
 WITHOUT_LAWS = (
-    "io/bag/",
-    "io/mavlink/",
-    "nodes/recording/",
     "docs/test_commands",
     "docs/test_words",
+    "io/",
+    "nodes/recording/",
+    "sim/scenario/",
     "test_",
 )
-COMPILES, WITHOUT, LONG, SHORT = range(4)
+COMPILES, LAWS, WITHOUT, LONG, SHORT = range(5)
 
 COUNTED = ("passed", "failed", "skipped", real_time.NOT_JUDGED)
 
@@ -103,8 +103,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Judge flights in real time by the machine they had."""
     config.pluginmanager.register(real_time.RealTime())
-    if "PYTEST_XDIST_WORKER" in os.environ:
+    if worker := os.environ.get("PYTEST_XDIST_WORKER"):
         _each_law_is_compiled_once()
+        if [Path(argument).resolve() for argument in config.args] == [HERE]:
+            # Each begins elsewhere: pytest rewrites the assertions of a file once, and the others read what it wrote.
+            files = sorted(map(str, HERE.rglob("test_*.py")))
+            workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+            at = len(files) * int(worker.removeprefix("gw")) // workers
+            config.args = files[at:] + files[:at]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:
+    """A file belongs to one worker, and all tests of the laws to the one that compiles them.
+
+    numba keeps what it has typed: in one process the same laws take half the time of a processor.
+    """
+
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByFile(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "tests/core" if nodeid.startswith("tests/core/") else nodeid.split("::")[0]
+
+    return ByFile(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -120,9 +142,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long tests before short ones: no worker is left with one when the others have run out of work.
 
     Before them, on an empty cache one worker compiles the laws with the first test, while what needs none keeps
-    the others busy. Everything else stays in the order of the files.
+    the others busy. Everything else stands in the order of the files, wherever the worker began.
     """
-    items.sort(key=_turn)
+    items.sort(key=lambda item: (_turn(item), item.path))
     for item in items:
         place = "nodes/" if "slow" in item.keywords else "support/"
         if "alone" in item.keywords and not _place(item).startswith(place):
@@ -131,9 +153,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             )
 
 
-def pytest_collection_finish() -> None:
-    """Modules and tests stay until the end: no collection of garbage goes through them again."""
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[object]:
+    """Modules and tests stay until the end: no collection of garbage goes through them, now or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -163,6 +191,8 @@ def _place(item: pytest.Item) -> str:
 def _turn(item: pytest.Item) -> int:
     if "compiles" in item.keywords:
         return COMPILES
+    if _place(item).startswith("core/"):
+        return LAWS
     if _place(item).startswith(WITHOUT_LAWS):
         return WITHOUT
     return LONG if "slow" in item.keywords else SHORT

@@ -105,9 +105,15 @@ def _trees() -> dict[str, ast.Module]:
     return {module: ast.parse(path.read_text()) for module, path in SOURCES.items()}
 
 
+@cache
+def _nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """All nodes of a module, for all who look at them."""
+    return tuple(ast.walk(tree))
+
+
 def _imported(module: str, known: Mapping[str, object], tree: ast.Module) -> Iterator[str]:
     """The modules out of `known` that a module names in an import statement."""
-    for node in ast.walk(tree):
+    for node in _nodes(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name in known:
@@ -190,7 +196,7 @@ def test_no_package_imports_from_one_above_it() -> None:
 def test_no_two_classes_share_a_name() -> None:
     where = defaultdict(list)
     for module, tree in _trees().items():
-        for node in ast.walk(tree):
+        for node in _nodes(tree):
             if isinstance(node, ast.ClassDef):
                 where[node.name].append(f"{module}.{node.name}")
     shared = {name: places for name, places in where.items() if len(places) > 1}
@@ -225,7 +231,7 @@ def test_the_product_has_a_size() -> None:
 def test_a_class_owns_one_thing_and_a_function_is_one_thought() -> None:
     large = []
     for module, tree in _trees().items():
-        for node in ast.walk(tree):
+        for node in _nodes(tree):
             if isinstance(node, ast.ClassDef):
                 methods = sum(isinstance(part, FUNCTIONS) for part in node.body)
                 if methods > LARGEST_CLASS:
@@ -256,7 +262,7 @@ def _escapes(tree: ast.Module) -> Iterator[str]:
     """What reaches behind a library's edge: privates of others, ctypes, exec, another class, fake modules."""
     ours = {
         name
-        for node in ast.walk(tree)
+        for node in _nodes(tree)
         for name in (
             getattr(node, "name", None),
             node.attr if isinstance(node, ast.Attribute) and _is_own_store(node) else None,
@@ -264,7 +270,7 @@ def _escapes(tree: ast.Module) -> Iterator[str]:
         )
         if name
     }
-    for node in ast.walk(tree):
+    for node in _nodes(tree):
         if isinstance(node, ast.Attribute):
             owned = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
             private = node.attr.startswith("_") and not node.attr.startswith("__")

@@ -36,7 +36,7 @@ def samples():
 
 
 @given(st.one_of(st.binary(max_size=200), st.sampled_from(samples())), st.data())
-@settings(max_examples=500)
+@settings(max_examples=200)
 def test_rubbish_raises_only_wire_errors(buf, data):
     broken = bytearray(buf)
     for at in data.draw(st.lists(st.integers(0, max(len(buf) - 1, 0)), max_size=4)):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ptnsbc_core.errors import PtnsbcError
@@ -18,7 +18,6 @@ CELLS = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), min_size=1, max_size=80, 
 
 
 @given(CELLS)
-@settings(max_examples=60, deadline=None)
 def test_the_boxes_are_the_occupied_cells_each_once(cells: list[tuple[int, int, int]]) -> None:
     points = (np.array(cells) + 0.5) * 0.25
     covered = []

@@ -308,6 +308,14 @@ class MavlinkFleet:
     def now_ns(self):
         return self.wall_ns()
 
+    def forget(self):
+        """Drop what was recorded so far: whoever copies the flight need not copy that."""
+        for uav in self.uavs.values():
+            logs = uav.stamps, uav.odometry, uav.tracks, uav.wrenches, uav.truths, uav.estimates
+            for log in (*logs, uav.setpoints):
+                del log[:-1]
+        return self
+
     def copied(self):
         """The same flight at the same moment, of which what happens to one changes nothing in the other."""
         other = deepcopy(self, {id(self.scenario): self.scenario})

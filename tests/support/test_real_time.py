@@ -52,6 +52,7 @@ def test_fails():
     while not Path("go").exists():
         time.sleep(0.01)  # between two looks: a file gives no notice
     time.sleep(1.0)  # a second in which the machine is measured
+    Path("over").touch()
     assert 1 == 2, "as it must"
 
 @pytest.mark.alone
@@ -119,16 +120,21 @@ def test_on_an_idle_machine_every_failure_is_one(tmp_path):
 
 @pytest.mark.alone
 def test_beside_busy_loops_of_others_it_is_not_judged(tmp_path):
-    with on_one_core(), ExitStack() as stack:
-        flights = stack.enter_context(start(tmp_path, "-k", "not starves"))
-        while not (tmp_path / "begun").exists():
-            assert flights.poll() is None
-            time.sleep(0.01)  # between two looks: a file gives no notice
-        for _ in range(LOOPS):
-            loop = subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"])
-            stack.callback(loop.wait)
-            stack.callback(loop.kill)
-        (tmp_path / "go").touch()
+    with on_one_core(), start(tmp_path, "-k", "not starves") as flights:
+
+        def wait(name):
+            while not (tmp_path / name).exists():
+                assert flights.poll() is None
+                time.sleep(0.01)  # between two looks: a file gives no notice
+
+        wait("begun")
+        with ExitStack() as loops:
+            for _ in range(LOOPS):
+                loop = subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"])
+                loops.callback(loop.wait)
+                loops.callback(loop.kill)
+            (tmp_path / "go").touch()
+            wait("over")
         out, _ = flights.communicate()
     assert flights.returncode == 1  # of the test that is not in real time
     assert "1 failed, 1 passed, 1 deselected, 1 not judged in" in out.splitlines()[-1], out

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
@@ -41,7 +41,6 @@ def at(recovery, s: float, dt: float = DT):
 
 
 @given(vectors, velocities)
-@settings(max_examples=200, deadline=None)
 def test_it_begins_with_the_deviation_and_the_velocity_of_the_uav(x, u) -> None:
     recovery = armed(x, u, 7.0, KAPPA, CONFIG)
     first = at(recovery, 0.0, 1e-5)
@@ -51,7 +50,6 @@ def test_it_begins_with_the_deviation_and_the_velocity_of_the_uav(x, u) -> None:
 
 
 @given(vectors, velocities)
-@settings(max_examples=200, deadline=None)
 def test_nothing_is_left_of_it_after_its_duration(x, u) -> None:
     """Predefined: T is known when it is armed, and P and P_dot vanish there."""
     recovery = armed(x, u, 7.0, KAPPA, CONFIG)
@@ -64,7 +62,6 @@ def test_nothing_is_left_of_it_after_its_duration(x, u) -> None:
 
 
 @given(vectors)
-@settings(max_examples=100, deadline=None)
 def test_from_rest_it_asks_for_no_more_than_its_limits(x) -> None:
     recovery = armed(x, (0.0, 0.0, 0.0), 0.0, KAPPA, CONFIG)
     ticks = [at(recovery, s) for s in np.arange(0.0, recovery.duration_s, DT)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
@@ -44,7 +44,6 @@ def slopes(at: list[PlaceMotion]) -> None:
 
 @pytest.mark.parametrize("turns", [False, True])
 @given(t=st.floats(0.1, 11.0))
-@settings(deadline=None, max_examples=60)
 def test_every_derivative_is_the_slope_of_the_one_before(turns: bool, t: float) -> None:
     if abs(t - 6.0) < 2 * STEP:
         return
@@ -54,7 +53,6 @@ def test_every_derivative_is_the_slope_of_the_one_before(turns: bool, t: float) 
 
 
 @given(t=st.floats(0.1, 7.0))
-@settings(deadline=None, max_examples=60)
 def test_derivatives_from_rest_are_slopes_too(t: float) -> None:
     if abs(t - 4.6) < 2 * STEP:
         return

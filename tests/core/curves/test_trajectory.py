@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 from scipy.interpolate import PPoly
@@ -75,7 +75,6 @@ def test_harmonic_by_hand() -> None:
 
 @pytest.mark.parametrize("name", CURVES)
 @given(t=st.floats(0.01, 5.0))
-@settings(deadline=None, max_examples=60)
 def test_every_derivative_is_the_slope_of_the_one_before(name: str, t: float) -> None:
     curve, step = CURVES[name], 1e-6
     seams = [0.0, 2.0, 3.0, 3.5] if "pieces" in name else []

@@ -46,7 +46,7 @@ def in_formation():
     """One flying vehicle of four, in formation with itself; whoever goes on takes a copy."""
     fleet = MavlinkFleet(scenario(), count=1)
     fleet.set_parameter("COM_OBL_RC_ACT", 5)
-    return fleet.airborne().form().run(2.0)
+    return fleet.airborne().form().run(2.0).forget()
 
 
 def one():
@@ -187,7 +187,7 @@ def test_heartbeat_lost_and_found_again():
 def test_the_vehicles_clock_jumps_and_the_flight_goes_on(jump_s):
     fleet, uav = one()
     inject(uav.vehicle, "clock", jump_s, fleet.now_s)
-    fleet.run(10.0)
+    fleet.run(6.0)
     assert uav.step is Step.FLY, fleet.report()
     assert published_last_s(fleet, uav) < 0.1
     for stamp, odometry in list(zip(uav.stamps, uav.odometry, strict=True))[-400:]:
@@ -266,7 +266,7 @@ def test_by_attitude_a_vehicle_at_the_fence_is_held_at_the_nearest_place_inside(
 def test_the_planner_is_slowed_down_to_the_vehicle():
     fleet = MavlinkFleet(scenario(), count=1)
     fleet.set_parameter("MPC_XY_VEL_MAX", 0.4)
-    fleet.airborne().form().run(8.0)
+    fleet.airborne().form().run(4.0)
     limits = fleet.uavs[1].controller.config.filter
     assert limits.max_speed == pytest.approx(0.4)
     sent = [m for _, m in fleet.uavs[1].setpoints if m.get_type().startswith("SET_POSITION")]

@@ -41,7 +41,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_sweep_says_its_share_and_how_to_fly_the_worst_again(tmp_path: Path) -> None:
     folder = tmp_path / "sweep"
-    code, out, _ = run("sweep", *SMALL, *ALONE, "--output", folder)
+    code, out, _ = run("sweep", *SMALL, *ALONE, "--output", folder, "--no-report")
     assert code == 0
     first, second, *_ = out.splitlines()
     assert first == "paper_5: 4 flights, seed 0; starts near:0.2"
@@ -94,7 +94,8 @@ def test_a_family_and_a_grid(tmp_path: Path) -> None:
     short = tmp_path / "few.yaml"
     short.write_text("{name: few, size: 2, deadline: {seconds: 0.8, after_s: 0.3}}")
     vary = ("--vary", "plant.mass_kg=1.0,1.2")
-    data = run_json("sweep", "--family", short, "-n", 2, *vary, "-j", 1, "-o", tmp_path / "o")
+    words = ("-n", 2, *vary, "-j", 1, "-o", tmp_path / "o", "--no-report")
+    data = run_json("sweep", "--family", short, *words)
     assert (data["name"], data["draws"]) == ("few", 4)
     assert [cell["values"] for cell in data["cells"]] == [
         {"plant.mass_kg": 1.0},
@@ -168,7 +169,8 @@ def test_draws_that_cannot_be_flown_are_named(
 
 
 def test_a_draw_that_cannot_be_flown_leaves_the_others(tmp_path: Path) -> None:
-    words = ("paper_5", "-n", 1, "--vary", "plant.mass_kg=1.0,9.0", *QUICK, "-o", tmp_path / "o")
+    vary = ("--vary", "plant.mass_kg=1.0,9.0")
+    words = ("paper_5", "-n", 1, *vary, *QUICK, "-o", tmp_path / "o", "--no-report")
     code, out, err = run("sweep", *words)
     assert code == 1
     assert "draw 1 was not flown: " in err
@@ -178,7 +180,8 @@ def test_a_draw_that_cannot_be_flown_leaves_the_others(tmp_path: Path) -> None:
 
 def test_a_sweep_of_another_plan_stays_unless_it_may_go(tmp_path: Path) -> None:
     folder = tmp_path / "sweep"
-    assert run("sweep", *SMALL, "--output", folder)[0] == 0
+    assert run("sweep", *SMALL, "--output", folder, "--no-report")[0] == 0
+    (folder / "report").mkdir()
     other = ("paper_5", "--runs", 1, *QUICK, "--output", folder, "--no-report")
     code, _, err = run("sweep", *other)
     assert (code, "--overwrite" in err) == (2, True)
