@@ -1,12 +1,8 @@
-"""The transcripts in `docs/tutorial.md`: what commands print on a terminal of 80 columns.
-
-`python -m docs.make.tutorial` makes that of `ptnsbc demo`, whose flight takes longer than all the others together.
-"""
+"""The transcripts in `docs/tutorial.md`: what commands print on a terminal of 80 columns."""
 
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -14,12 +10,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from docs.make.markdown import region, remade
-from ptnsbc_io.files import replacing
-
 PAGE = Path(__file__).resolve().parents[1] / "tutorial.md"
 DEMO = "demo"
-_BEGAN = re.compile(r"\bdemo-\d{8}-\d{6}")  # the folder of a demo is named by the time of day
+_BAG = "out/demo-20260101-120000"  # a demo names it by the time of day
 COLUMNS = 80
 COMMANDS = {
     "help": ("--help",),
@@ -44,14 +37,17 @@ COMMANDS = {
 
 
 def regions() -> dict[str, str]:
-    """Every made region of the page, one for each transcript; that of the demo as it is."""
-    made = {name: f"```text\n{transcript(*words)}\n```" for name, words in COMMANDS.items()}
-    return {DEMO: region(PAGE.read_text("utf-8"), DEMO), **made}
+    """Every made region of the page, one for each transcript."""
+    shown = {DEMO: demo(), **{name: transcript(*words) for name, words in COMMANDS.items()}}
+    return {name: f"```text\n{text}\n```" for name, text in shown.items()}
 
 
 def demo() -> str:
-    """The region of the demo, which is flown for it; its folder has the time of day of no flight."""
-    return f"```text\n{_BEGAN.sub('demo-20260101-120000', transcript(DEMO))}\n```"
+    """The transcript of `ptnsbc demo`, whose fleet has the flight, and so the verdict, of one process."""
+    _, _, printed = transcript("simulate", "paper_5").partition("\n")
+    verdict, _, _ = printed.rpartition("next: ")
+    places = f"bag: {_BAG}\npicture: {_BAG}.png\nreport: ptnsbc report {_BAG}"
+    return f"$ ptnsbc demo\n{verdict}{places}"
 
 
 @cache
@@ -74,15 +70,3 @@ def transcript(*words: str) -> str:
                 text += part
     lines = text.decode().replace("\r\n", "\n").splitlines()
     return "\n".join([f"$ ptnsbc {' '.join(words)}", *(line.rstrip() for line in lines)])
-
-
-def main() -> None:
-    """Put the transcript of a demo that is flown now into the page."""
-    page = PAGE.read_text("utf-8")
-    others = {name: region(page, name) for name in COMMANDS}
-    with replacing(PAGE) as part:
-        part.write_text(remade(page, {**others, DEMO: demo()}), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

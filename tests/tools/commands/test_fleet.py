@@ -81,11 +81,15 @@ def test_a_fleet_with_open_slots_flies_what_one_process_flies(tmp_path: Path) ->
 @pytest.mark.ros
 @needs_rclpy
 def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
-    code, out, err = run("demo", "--duration", "1", "--output", tmp_path, "--json")
+    """It says so in the last lines, as the tutorial shows them."""
+    code, out, err = run("demo", "--duration", "1", "--output", tmp_path)
     assert code == 1, err
-    data = json.loads(out)
-    assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")
-    topics = read_bag(data["bag"]).topics
+    assert out.startswith("Verdict: void")
+    places = dict(line.split(": ", 1) for line in out.splitlines()[-3:])
+    assert list(places) == ["bag", "picture", "report"]
+    assert places["report"] == f"ptnsbc report {places['bag']}"
+    assert Path(places["picture"]).read_bytes().startswith(b"\x89PNG")
+    topics = read_bag(places["bag"]).topics
     assert topics["/uav5/odom"].messages == 100
     assert "/uav1/truth" not in topics
 
