@@ -272,14 +272,13 @@ def limits(values: Mapping[str, float]) -> SetpointLimits:
     )
 
 
-_PX4_WITHOUT_SETPOINTS = (
+_PX4_WITHOUT_SETPOINTS = (  # by COM_OBL_RC_ACT
     *["needs a remote control, and sinks and drifts without one"] * 3,
     "returns and lands",
     "lands",
     "hovers until somebody lands it or its battery is low",
     *["stops its motors"] * 2,
 )
-"""By COM_OBL_RC_ACT."""
 
 
 def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) -> str:

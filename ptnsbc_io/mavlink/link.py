@@ -171,7 +171,7 @@ _ADDRESS_TIMEOUT_S = 3.0
 _MOST_PER_POLL = 200  # packets; a flood must not delay the setpoint stream
 
 
-_DROPPED = (
+_DROPPED = (  # reasons why
     "malformed",  # no frame, wrong checksum, impossible length
     "truncated",
     "other_sysid",
@@ -181,7 +181,6 @@ _DROPPED = (
     "replayed",
     "other_address",  # the same system id from a second address
 )
-"""Reasons why a packet was dropped."""
 
 
 class MavlinkLink:
