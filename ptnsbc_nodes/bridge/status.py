@@ -1,4 +1,4 @@
-"""What a bridge says of its vehicle: to the operator's orders, and as its status on /diagnostics."""
+"""Answers of a bridge about its vehicle: to the operator's orders, and as its status on /diagnostics."""
 
 from __future__ import annotations
 

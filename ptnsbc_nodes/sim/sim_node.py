@@ -156,7 +156,7 @@ class RealTimeWorld:
 
 
 class LockstepScheduler:
-    """Which vehicles may publish their next state.
+    """Order of the steps: it tells which vehicles may publish their next state.
 
     Args:
         ticks: of the state of each vehicle; the world counts them.

@@ -1,5 +1,7 @@
 """The surroundings of one UAV node: its sim, its neighbours and its launcher, played by a test."""
 
+import time
+
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
@@ -70,6 +72,15 @@ class Others:
 
     def odom(self, stamp_ns):
         self.send_odom(self.template.encode(stamp_ns, body(self.uav_id)))
+
+    def fly(self, ros):
+        """Odometry of now until the first setpoint: one message alone may be stale when a full machine reads it."""
+
+        def flying():
+            self.odom(time.time_ns())
+            return self.wrenches
+
+        ros.spin_until(flying)
 
     def near(self, stamp_ns, rows=()):
         rows = np.array(rows, dtype=float).reshape(-1, 7)

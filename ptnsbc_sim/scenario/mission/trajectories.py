@@ -272,7 +272,7 @@ def trajectory_of(block: AnyPath) -> Trajectory:
 
 
 def first_place(block: AnyPath) -> tuple[float, ...]:
-    """Where a trajectory begins, or the centre that it goes around [m], ENU."""
+    """The begin of a trajectory, or the centre that it goes around [m], ENU."""
     numbers, table = trajectory_of(block)
     if not len(table):
         return numbers[1:4]

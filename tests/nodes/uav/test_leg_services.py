@@ -223,8 +223,7 @@ def test_a_mission_that_should_have_begun_is_not_started(ros):
     for start, begins in cases:
         mission = {"mission": {"start": start, "legs": legs}}
         others = Others(ros, load_scenario("paper_5_free", mission), LEADER, lockstep=False)
-        others.odom(time.time_ns())
-        ros.spin_until(lambda others=others: others.wrenches)
+        others.fly(ros)
         answer = call(ros, others.node, "start")
         assert answer.success == begins
         if begins:

@@ -88,8 +88,7 @@ def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
 def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
     others = Others(ros, scenario, LEADER, lockstep=False)
     assert f"/uav{LEADER}/odom" in others.newest()[2]["waiting_for"]
-    others.odom(time.time_ns())
-    ros.spin_until(lambda: others.wrenches)
+    others.fly(ros)
     _, _, values = others.newest()
     assert (values["mode"], values["ready"]) == ("waiting", "true")
     before = time.time_ns()
@@ -107,8 +106,7 @@ def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
 
 def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
     others = Others(ros, scenario, LEADER, lockstep=False)
-    others.odom(time.time_ns() - int(0.4e9))  # of 0.5 s
-    ros.spin_until(lambda: others.wrenches)
+    others.fly(ros)
     ros.spin_until(lambda: "stale" in others.newest()[1])
     count = len(others.wrenches)
     others.settle()
@@ -120,8 +118,7 @@ def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
 def test_real_time_ticks_go_on_after_legs_in_a_row(ros, scenario):
     """A hold and a start 4 ms apart once stopped them for good; so did the legs of a flight, read by a late UAV."""
     others = Others(ros, scenario, FOLLOWER, lockstep=False)
-    others.odom(time.time_ns())
-    ros.spin_until(lambda: others.wrenches)
+    others.fly(ros)
     now = time.time_ns()
     for number, leg in enumerate(("form", "hold", "form", "hold", "form")):
         others.form(now + number * 4_000_000, leg)
@@ -150,8 +147,7 @@ def test_no_message_ends_a_uav(ros, scenario):
         return len(others.newest()[2].get("refused", "").split()) == 5
 
     ros.spin_until(all_named)
-    others.odom(time.time_ns())
-    ros.spin_until(lambda: others.wrenches)
+    others.fly(ros)
 
 
 def test_in_real_time_a_follower_commands_what_its_law_gives(ros, tmp_path):

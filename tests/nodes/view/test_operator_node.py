@@ -115,6 +115,7 @@ def test_the_order_that_a_bridge_obeys_is_told(fleet):
 def test_a_leg_is_flown_to_its_predefined_time(fleet):
     goal, result = fleet.goal("start")
     assert goal.accepted
+    fleet.ros.spin_until(lambda: fleet.asked)  # after the goal has been accepted
     assert fleet.asked == ["start"]
     fleet.announce("form")
     fleet.off[2] = (1.0, 0.0, 0.0)
@@ -267,6 +268,7 @@ def test_a_mission_is_followed_to_its_last_leg(with_mission):
     fleet = with_mission
     goal, result = fleet.mission()
     assert goal.accepted
+    fleet.ros.spin_until(lambda: fleet.asked)  # after the goal has been accepted
     assert fleet.asked == ["start"]
     fleet.announce("form")
     fleet.off[2] = (0.0, 1.0, 0.0)
@@ -313,6 +315,7 @@ def test_a_mission_begins_at_a_leg_and_ends_when_it_is_cancelled(with_mission):
     fleet.announce("form")
     fleet.spin_until_told(lambda: fleet.states and fleet.states[-1].leg.name == "form", 8.5)
     _, result = fleet.mission(4)
+    fleet.ros.spin_until(lambda: fleet.asked)  # after the goal has been accepted
     assert fleet.asked == ["leg_4"]
     fleet.announce("mission 4", 9.0)
     fleet.spin_until_told(lambda: fleet.operator.flight.epochs.scenario.words, 8.9)
