@@ -54,7 +54,11 @@ setup(
 )
 """
 
-_C, _FASTRTPS = "rosidl_generator_c", "rosidl_typesupport_fastrtps_c"
+_C, _FASTRTPS, _INTROSPECTION = (
+    "rosidl_generator_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_introspection_c",  # rmw_fastrtps registers a type by it
+)
 _TYPE_SUPPORT, _PYTHON = "rosidl_typesupport_c", "rosidl_generator_py"
 _DEPENDENCIES = ("depend", "build_depend", "exec_depend", "build_export_depend")
 _JOBS = min(4, os.cpu_count() or 1)
@@ -105,8 +109,9 @@ class Package:
         from rosidl_parser import parser
         from rosidl_typesupport_c import generate_c as generate_type_support
         from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+        from rosidl_typesupport_introspection_c import generate_c as generate_introspection
 
-        # Each of the five generators parses all definitions, which is a quarter of their time.
+        # Each of the six generators parses all definitions, which is a quarter of their time.
         parser.get_ast_from_idl_string = cache(parser.get_ast_from_idl_string)
         for path in self.definitions:
             relative = path.relative_to(self.source)
@@ -114,9 +119,10 @@ class Package:
         generate_type_hash(self._arguments("rosidl_generator_type_description", _C))
         generate_c(self._arguments(_C))
         generate_typesupport_fastrtps_c(self._arguments(_FASTRTPS))
-        generate_type_support(self._arguments(_TYPE_SUPPORT), [_FASTRTPS])
+        generate_introspection(self._arguments(_INTROSPECTION))
+        generate_type_support(self._arguments(_TYPE_SUPPORT), [_FASTRTPS, _INTROSPECTION])
         generate_py(self._arguments(_PYTHON), [_TYPE_SUPPORT])
-        for generator in (_C, _FASTRTPS):
+        for generator in (_C, _FASTRTPS, _INTROSPECTION):
             name = f"{generator}__visibility_control.h"
             generate_visibility_control_file(
                 package_name=self.name,
@@ -165,9 +171,15 @@ class Package:
             [_FASTRTPS, _C],
         )
         self._library(
+            _INTROSPECTION,
+            "*/detail/*.c",
+            [own(_C), _INTROSPECTION, "rosidl_runtime_c"],
+            [_INTROSPECTION, _C],
+        )
+        self._library(
             _TYPE_SUPPORT,
             "*/*.cpp",
-            [own(_C), own(_FASTRTPS), _TYPE_SUPPORT],
+            [own(_C), own(_FASTRTPS), own(_INTROSPECTION), _TYPE_SUPPORT],
             [_TYPE_SUPPORT],
         )
         self._library(_PYTHON, "*/*_s.c", [own(_C), own(_TYPE_SUPPORT)], [_PYTHON, _C])
@@ -186,7 +198,7 @@ class Package:
     def _link(self, target: Path, sources: list[Path], libraries: Iterable[str]) -> None:
         import numpy
 
-        generated = (self.work / kind for kind in (_C, _FASTRTPS))
+        generated = (self.work / kind for kind in (_C, _FASTRTPS, _INTROSPECTION))
         folders = [path for path in INCLUDE.iterdir() if path.is_dir()]
         python = [sysconfig.get_path("include"), numpy.get_include()]
         includes = [f"-I{path}" for path in (*generated, *folders, INCLUDE, *python)]
