@@ -52,6 +52,7 @@ def test_what_is_written_is_read_whoever_writes_it():
         (decode_origin, fix(latitude=math.nan)),
         *((decode_limits, array(*numbers)) for numbers in ((), (1.0,), (0.0, 1.0), (1.0, math.inf))),
     ],
+    ids=[*(f"origin-{k}" for k in range(4)), *(f"limits-{k}" for k in range(4))],  # rclpy leaves what is in the gaps
 )  # fmt: skip
 def test_what_no_vehicle_tells_is_refused(decode, data):
     with pytest.raises(WireError, match="expected"):
@@ -59,7 +60,9 @@ def test_what_no_vehicle_tells_is_refused(decode, data):
 
 
 @pytest.mark.parametrize(
-    ("decode", "data"), [(decode_origin, fix()), (decode_limits, array(1.0, 2.0))]
+    ("decode", "data"),
+    [(decode_origin, fix()), (decode_limits, array(1.0, 2.0))],
+    ids=["origin", "limits"],
 )
 def test_a_cut_or_changed_message_raises_nothing_else(decode, data):
     for at in range(len(data)):
