@@ -245,7 +245,7 @@ def verdict_sentence(verdict: Verdict) -> Text:
         count = console.counted(len({of.uav for of in away}), "UAV")
         back_s = max(of.regained_s or 0.0 for of in away)
         parts.append(
-            f"{count} gave way later, or followed one that did, and came back within {back_s:.1f} s."
+            f"{count} gave way later, or followed one that did: back {back_s:.1f} s after the encounter at most."
         )
     if verdict.inside_keep_out_s:
         parts.append(f"Inside keep-outs for {verdict.inside_keep_out_s:.2f} s.")

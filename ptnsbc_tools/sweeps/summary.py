@@ -506,7 +506,8 @@ def line(sweep: FlownSweep) -> Text:
     text.append(f"; in place at the deadline: {share_of(sweep.table.flights.in_place)}")
     if sweep.table.different < flown.of:
         text.append(
-            f"; only {sweep.table.different} of them differ: vary the starts or a range", "bold red"
+            f"; only {sweep.table.different} of them differ: draw --starts near:0.3, or --vary a range",
+            "bold red",
         )
     if sweep.missing:
         text.append(f"; {sweep.missing} of {sweep.plan.draws} draws were not flown", "bold red")
