@@ -90,7 +90,7 @@ class BagRecorder:
         """
         opened = bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
         status = as_bytes(wire.decode_diagnostics)
-        # What was on a topic belongs into the bag, broken or not, but for statuses: anybody may publish those.
+        # Every message of a topic belongs into the bag, broken or not, but for statuses: anybody may publish those.
         is_status = topic.type == topics.DIAGNOSTICS.type
         decode = (lambda data: status(opened(data))) if is_status else opened
         kind = NumberedDoor if topic.role is Role.STATE else Door

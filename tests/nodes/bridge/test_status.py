@@ -1,4 +1,4 @@
-"""What a bridge tells of its vehicle."""
+"""The status of a bridge about its vehicle."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""What a bridge tells of its vehicle, as rclpy writes it and cut anywhere."""
+"""Messages of a bridge about its vehicle, as rclpy writes them and cut anywhere."""
 
 import contextlib
 import math

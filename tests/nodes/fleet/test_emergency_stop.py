@@ -387,7 +387,7 @@ class Flown:
         bridge("bridge1", pid=dead, connect=f"udpin:127.0.0.1:{free}", **changes)
 
     def land_left_behind(self, folder, states, seconds=PATIENCE_S):
-        """What is said, and the commands before each of the `states` of the vehicle's HEARTBEAT was over."""
+        """The printed lines, and the commands sent before each of the `states` of the vehicle's HEARTBEAT was over."""
         said, commands, end = [], [], time.monotonic() + seconds
 
         def look():
