@@ -117,7 +117,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Around the first use of the laws: progress on stderr when they are compiled and it takes longer than a moment.
+    """Around the first use of the laws: progress and time on stderr when they are compiled for longer than a moment.
 
     A function takes three quarters of its time when it is translated, and the last one when its kernel is optimised.
     """
@@ -152,6 +152,8 @@ def compiling() -> Iterator[None]:
 
     with ExitStack() as shown, event.install_listener("numba:compile", Watch()):
         yield
+    if advance is not None:
+        say(f"{COMPILING}: done in {time.monotonic() - begin_s:.0f} s")
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # From a clean copy of this checkout: colcon builds it, plain over what an older version left and with
-# --symlink-install, and the executables of the plain build fly 6 s of paper_5, from another folder and without the
-# sources. Then pip installs the same, twice. Needs .venv (make setup-colcon). What is installed there of this project
-# is not seen: everything runs in environments like it that have the project from one place only.
+# --symlink-install; pip installs the same, twice. Then the executables of the plain build fly 6 s of paper_5, from
+# another folder and without the sources. Needs .venv (make setup-colcon). What is installed there of this project is
+# not seen: everything runs in environments like it that have the project from one place only.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -109,21 +109,6 @@ build plain
 installed=$scratch/plain/ros2_ws/install
 check_programs "colcon build" "$installed"/ptnsbc_{nodes,tools} within plain
 
-say "a flight of 6 s with the installed executables, the sources gone"
-rm -rf "$scratch"/plain/ptnsbc_* "$scratch"/plain/ros2_ws/{src,build}
-within plain places "$installed" python
-within plain "$installed/ptnsbc_tools/bin/ptnsbc" check paper_5 >/dev/null
-sed 's/^  duration_s: .*/  duration_s: 6/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
-within plain python -c "
-from ptnsbc_nodes.runtime.warmup import load_agent, load_world
-from ptnsbc_sim.scenario import load_scenario
-scenario = load_scenario('$scratch/flight.yaml')
-load_agent(scenario, 1)
-load_world(scenario)"
-export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}
-within plain fly
-within plain ptnsbc verify "$scratch/bag"
-
 say "colcon build --symlink-install"
 copy linked
 build linked --symlink-install
@@ -153,4 +138,20 @@ say "pip uninstall"
 "$scratch/env/bin/python" -m pip --quiet uninstall --yes ptnsbc
 left=$(cd "$scratch/env" && find . -path '*ptnsbc*' -not -type d -not -path '*/__pycache__/*')
 [ -z "$left" ] || die "pip uninstall left ${left//$'\n'/ }"
+
+say "a flight of 6 s with the installed executables, the sources gone"
+rm -rf "$scratch"/plain/ptnsbc_* "$scratch"/plain/ros2_ws/{src,build}
+within plain places "$installed" python
+within plain "$installed/ptnsbc_tools/bin/ptnsbc" check paper_5 >/dev/null
+sed 's/^  duration_s: .*/  duration_s: 6/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
+within plain python -c "
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world
+from ptnsbc_sim.scenario import load_scenario
+scenario = load_scenario('$scratch/flight.yaml')
+load_agent(scenario, 1)
+load_world(scenario)"
+export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}
+within plain fly
+within plain ptnsbc verify "$scratch/bag"
+
 say "all of it from where it was meant to be"

@@ -52,7 +52,7 @@ class WithPrograms(install_data):
             folder = Path(self.install_dir) / "lib" / package
             folder.mkdir(parents=True, exist_ok=True)
             for name in programs:
-                words = f" node {name}" if package == "ptnsbc_nodes" else ""
+                words = f" network node {name}" if package == "ptnsbc_nodes" else ""
                 program = folder / name
                 program.write_text(_BESIDE_PIPS.format(words=words), encoding="utf-8")
                 program.chmod(0o755)

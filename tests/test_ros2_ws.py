@@ -197,7 +197,7 @@ def test_pip_writes_what_ros2_run_finds(tmp_path):
         place = tmp_path / "prefix" / "lib" / package / program
         assert str(place) in command.get_outputs()
         said = subprocess.run([place, "--uav", "a b"], capture_output=True, text=True, check=True)
-        before = f"node {program} " if package == "ptnsbc_nodes" else ""
+        before = f"network node {program} " if package == "ptnsbc_nodes" else ""
         assert said.stdout == f"{before}--uav a b "
 
 

@@ -149,10 +149,10 @@ def _parser() -> argparse.ArgumentParser:
         "--jobs",
         type=int,
         choices=range(1, 65),
-        # Pages in one domain would hear each other.
-        default=1 if _DOMAIN_IS_GIVEN else len(os.sched_getaffinity(0)),
+        # Pages in one domain would hear each other. One more than cores: flights in real time wait.
+        default=1 if _DOMAIN_IS_GIVEN else len(os.sched_getaffinity(0)) + 1,
         metavar="N",
-        help="pages at the same time; by default one for each core, one where ROS_DOMAIN_ID is set",
+        help="pages at the same time; by default one more than cores, one where ROS_DOMAIN_ID is set",
     )
     parser.add_argument(
         "--list", action="store_true", help="print how each block is run, and run none"

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.types import Array
@@ -63,6 +62,8 @@ def quaternion_enu_flu_to_ned_frd(xyzw: Array) -> Array:
 
 def quaternion_from_euler_ned(roll: float, pitch: float, yaw: float) -> Array:
     """Attitude (4,) w x y z from the angles [rad] of the ATTITUDE message, FRD in NED; NaN where one is not finite."""
+    from scipy.spatial.transform import Rotation  # late: 0.25 s, for bridges only
+
     return np.asarray(Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_quat(scalar_first=True))
 
 

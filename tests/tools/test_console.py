@@ -41,7 +41,7 @@ def test_a_table_that_fits_is_left_alone() -> None:
     assert console.narrowed(table, console.recording(io.StringIO(), 200)) == [table]
 
 
-def test_a_compilation_shows_its_share_and_nothing_else_is_one(
+def test_a_compilation_shows_its_share_and_time_and_nothing_else_is_one(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A long look at the disk, or laws that are compiled already, are none."""
@@ -53,8 +53,9 @@ def test_a_compilation_shows_its_share_and_nothing_else_is_one(
     for _ in range(2):
         with console.compiling():
             numba.njit(lambda x: x + 1.0)(1.0)
-        lines = capsys.readouterr().err.splitlines()
+        *lines, last = capsys.readouterr().err.splitlines()
         assert lines and all(re.match(rf"{re.escape(console.COMPILING)}: \d+ %", x) for x in lines)
+        assert re.fullmatch(rf"{re.escape(console.COMPILING)}: done in \d+ s", last)
 
 
 TELLS_OPTIMISING = """
