@@ -54,11 +54,14 @@ class SplitLimits(NamedTuple):
 
 
 def check_replaceable(directory: Path, *, overwrite: bool) -> None:
-    """Raise BagError when a bag cannot take the place of what is there.
+    """Raise BagError when a bag cannot take the place of what is there, or nothing can be made there.
 
     With `overwrite` it may replace a folder that holds nothing but the files of a bag.
     """
     if not directory.exists():
+        above = next(path for path in directory.absolute().parents if path.exists())
+        if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+            raise BagError(f"{directory}: cannot be created: {above} is no folder to write into")
         return
     if not overwrite:
         raise BagError(f"{directory} exists: choose another name or pass --overwrite")

@@ -409,6 +409,13 @@ def test_overwrite_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
     assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
 
 
+def test_a_place_where_no_bag_can_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("dear")
+    code, _, err = run("simulate", "paper_5", "--bag", tmp_path / "letter.txt" / "flight")
+    assert code == 2
+    assert f"{tmp_path / 'letter.txt'} is no folder to write into" in err
+
+
 def test_a_flight_of_ages_is_refused(tmp_path: Path) -> None:
     code, _, err = run("check", "paper_5", "--set", "timing.duration_s=1e300")
     assert code == 2
