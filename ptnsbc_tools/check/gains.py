@@ -96,7 +96,7 @@ def changes(scenario: Scenario) -> Findings:
 
 
 def within_flight(scenario: Scenario) -> Findings:
-    """True if the flight lasts until the deadline, and long enough to be judged after it."""
+    """The length of the flight: until the deadline, and long enough after it to be judged."""
     deadline, duration = scenario.gains.formation.deadline_s, scenario.timing.duration_s
     if deadline >= duration:
         value = f"{duration:g} s: the flight ends before its deadline"
