@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cache
+from pathlib import Path
+from shutil import which
 from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
@@ -16,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _PATIENCE_S = 2.0
-COMPILING = "compiling the laws (once)"
+COMPILING = "compiling laws (at their first use)"
 _FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
 
@@ -98,6 +101,12 @@ def narrowed(table: Table, console: Console) -> list[Table]:
 def say(line: str) -> None:
     """One line on stderr, at once."""
     print(plain(line), file=sys.stderr, flush=True)
+
+
+def program() -> str:
+    """The word that starts ptnsbc in this shell: its path, where PATH does not lead to it."""
+    script = Path(sys.argv[0])
+    return "ptnsbc" if script.name != "ptnsbc" or which("ptnsbc") else os.path.relpath(script)
 
 
 def counted(number: int, what: str) -> str:

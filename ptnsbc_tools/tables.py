@@ -189,7 +189,8 @@ def _separation_table(verdict: Verdict, most: int | None = None) -> Table:
     return table
 
 
-def _length(metres: float) -> str:
+def length(metres: float) -> str:
+    """A length in m, a small one in mm."""
     return f"{metres:.2f} m" if metres >= 0.1 else f"{1000.0 * metres:.2g} mm"
 
 
@@ -208,9 +209,12 @@ def who_came(leg: LegVerdict) -> str:
         return f"{leg.reason}."
     there, deadline_s = leg.in_place, leg.uavs[0].deadline_s
     if there.count == there.of:
-        errors = [of.error_at_deadline_m or 0.0 for of in leg.uavs if of.in_place]
-        worst = _length(max(errors, default=0.0))
-        return f"In formation at {deadline_s:.4g} s: {there.count} of {there.of}, worst {worst}."
+        placed = [of for of in leg.uavs if of.in_place]
+        worst = max(
+            ((of.error_at_deadline_m or 0.0, of.tolerance_m) for of in placed), default=(0.0, 0.0)
+        )
+        shown = f"worst {length(worst[0])} off ({length(worst[1])} allowed)"
+        return f"In formation at {deadline_s:.4g} s: {there.count} of {there.of}, {shown}."
     text = f"{there.count} of {there.of} in place by {deadline_s:.4g} s"
     late = [of for of in leg.uavs if of.arrived_s is not None]
     if late:
@@ -243,9 +247,11 @@ def verdict_sentence(verdict: Verdict) -> Text:
     away = [of for of in uavs if of.excused_outside_s]
     if away:
         count = console.counted(len({of.uav for of in away}), "UAV")
+        off_m = max(of.max_error_after_all_m or 0.0 for of in away)
         back_s = max(of.regained_s or 0.0 for of in away)
         parts.append(
-            f"{count} gave way later, or followed one that did: back {back_s:.1f} s after the encounter at most."
+            f"{count} gave way later, or followed one that did: {length(off_m)} off, "
+            f"back {back_s:.1f} s after the encounter, at most."
         )
     if verdict.inside_keep_out_s:
         parts.append(f"Inside keep-outs for {verdict.inside_keep_out_s:.2f} s.")
@@ -337,5 +343,5 @@ def show_verdict(verdict: Verdict, showing: Showing, **extra: Any) -> int:
         if isinstance(value, Path):
             print(f"{key}: {value}")
     if "bag" in files:
-        print(f"report: {shlex.join(('ptnsbc', 'report', str(files['bag'])))}")
+        print(f"report: {shlex.join((console.program(), 'report', str(files['bag'])))}")
     return verdict.exit_code

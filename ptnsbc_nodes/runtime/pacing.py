@@ -76,8 +76,8 @@ class Latency:
 class Progress:
     """A line on stderr now and then: simulated time and steps per second."""
 
-    def __init__(self, control_hz: int) -> None:
-        self._control_hz = control_hz
+    def __init__(self, control_hz: int, duration_s: float) -> None:
+        self._control_hz, self._duration_s = control_hz, duration_s
         self._began = self._shown = 0.0
         self._shown_ticks = 0
 
@@ -99,7 +99,7 @@ class Progress:
 
     def _print(self, ticks: int, rate: float) -> None:
         print(
-            f"sim: {ticks / self._control_hz:.2f} s, {rate:.0f} steps/s",
+            f"sim: {ticks / self._control_hz:.2f} of {self._duration_s:g} s, {rate:.0f} steps/s",
             file=sys.stderr,
             flush=True,
         )

@@ -219,7 +219,7 @@ class SimNode(ABC):
         self._world = World(scenario)
         self._publishers = SimPublishers(self.endpoints, scenario, self._world, edges)
         self._epochs = Epochs(scenario)
-        self._progress = Progress(scenario.timing.control_hz)
+        self._progress = Progress(scenario.timing.control_hz, scenario.timing.duration_s)
         self._running = False
         if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
             self.endpoints.shared.add(topics.EPOCH.name)

@@ -39,7 +39,7 @@ class CheckReport:
     findings: tuple[Finding, ...]
     flown: DryRun | None = field(default=None, repr=False)
     plan: Mapping[str, str] = field(default_factory=dict, repr=False)
-    """In a few lines: deadline or legs, who is in place by then in the dry run, who meets what when."""
+    """In a few lines: deadline or legs, who is in place by then in the dry run, who avoids what when."""
 
     @property
     def ok(self) -> bool:

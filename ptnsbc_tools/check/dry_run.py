@@ -89,7 +89,7 @@ def _in_place(scenario: Scenario, flight: DryFlight) -> str:
 
 
 def plan(scenario: Scenario, found: Iterable[Finding], done: DryRun | None) -> dict[str, str]:
-    """The plan in a few lines: deadline or legs, the flight as it stands, and who meets what when."""
+    """The plan in a few lines: deadline or legs, the flight as it stands, and who avoids what when."""
     lines = {one.key: one.value for one in found if one.key == _DEADLINE}
     told = {"deadline": lines[_DEADLINE]} if lines else {}
     if scenario.mission is not None:
@@ -98,12 +98,12 @@ def plan(scenario: Scenario, found: Iterable[Finding], done: DryRun | None) -> d
         told["flown"] = _in_place(scenario, done.flights[0])
         if done.least_room_m is not None:
             told["flown"] += f"; least room {done.least_room_m:.2f} m beyond the keep-outs"
-    told["meets"] = "; ".join(_met(scenario)) or "nothing in its way after the deadline"
+    told["avoids"] = "; ".join(_met(scenario)) or "nothing in its way after the deadline"
     return told
 
 
 def _met(scenario: Scenario) -> Iterator[str]:
-    """Each obstacle with those that meet it, the first one first."""
+    """Each obstacle with those on whose way it is, the first one first."""
     uavs: dict[str, list[int]] = {}
     first_s: dict[str, float] = {}
     for meeting in sorted(meetings(scenario), key=lambda one: one.first_s):
@@ -137,4 +137,6 @@ def check_report(report: CheckReport, *, verbose: bool = False) -> Iterator[Tabl
             plan.add_row(label, Text(text))
     yield plan
     if not verbose and len(report) > len(loud):
-        yield Text(f"{len(report) - len(loud)} findings need no change: -v", style="dim")
+        yield Text(
+            f"{len(report) - len(loud)} other findings are as they should be: -v", style="dim"
+        )

@@ -109,6 +109,11 @@ def spacing(scenario: Scenario) -> Findings:
         for a, b, distance, least in near or closest:
             value = f"UAV {a} and UAV {b} {distance:.2f} m apart"
             yield judge(key, value, f">= {least:g} m", advice, ERROR)
+    tolerance_m, keep_out_m = scenario.formation.tolerance_m, scenario.widest_keep_out_m
+    if tolerance_m >= keep_out_m:
+        limit = f"< {keep_out_m:g} m, formation.uav_keep_out_m"
+        advice = "a UAV that far from its place is counted as in it: lower it"
+        yield judge("formation.tolerance_m", f"{tolerance_m:g} m", limit, advice)
 
 
 def moving_spacing(scenario: Scenario) -> Findings:

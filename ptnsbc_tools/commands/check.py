@@ -74,7 +74,7 @@ def check(
         same = " with the same options" if choices.keys() else ""
         how = "simulate" if backend == "sim" else "fleet --backend mavlink"
         if report.ok:
-            console.show(f"next: ptnsbc {how} {scenario}{same}")
+            console.show(f"next: {console.program()} {how} {scenario}{same}")
     if picture is not None and (report.ok or report.flown is not None):
         flying.fly(chosen, checked=False).save_picture(picture)
         console.say(f"picture: {picture}")
@@ -132,7 +132,7 @@ def new(
 
     path = new_scenario.new(file, shape, n, spacing, overwrite=overwrite)
     console.show(str(path))
-    console.say(f"next: ptnsbc check {path}")
+    console.say(f"next: {console.program()} check {path}")
 
 
 def scenarios(json: JsonOption = False) -> None:

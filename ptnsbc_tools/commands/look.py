@@ -88,6 +88,7 @@ def report(
         console.print_json({"report": str(made.page), "pictures": pictures_made, **about})
     else:
         print(made.page)
+        console.say("open it in a browser; it needs no network")
     if made.problem:
         console.err().print(f"warning: no verdict: {made.problem}", soft_wrap=True)
         raise typer.Exit(_NO_VERDICT)

@@ -94,7 +94,8 @@ def simulate(
         flight.save_picture(picture)
     code = show_verdict(flight.verdict, showing, bag=bag, picture=picture)
     if bag is None and not showing.json:
-        console.show("next: record it with --bag DIR, then ptnsbc report DIR")
+        place = Path("out", chosen.name)
+        console.show(f"next: the same with --bag {place}, then {console.program()} report {place}")
     raise typer.Exit(code)
 
 
@@ -298,8 +299,8 @@ def _show(found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: 
     for table in summary.tables(found, brief=not verbose):
         out.print(table) if verbose else print_plain(table)
     out.print()
-    for worst in summary.worst(found)[: None if verbose else 1]:
-        print(f"fly draw {worst.draw} again: {worst.command}")
+    for line in summary.look_first(found, _MOST_NAMED if verbose else 1):
+        print(line)
     for failed in flown.failed:
         first, last = failed.draws.start, failed.draws[-1]
         print(f"draws {first} to {last} were not flown: {failed.error}", file=sys.stderr)

@@ -25,7 +25,7 @@ from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE, read_table
 from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
-from ptnsbc_tools.tables import word
+from ptnsbc_tools.tables import length, word
 
 WIDE = 0.2
 """An interval wider than this is called wide."""
@@ -331,7 +331,6 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     flights, table = sweep.table.flights, sweep.table
     figures = {name: table.of_flights(name) for name in _WORST_FIGURES}
     errors = np.nan_to_num(figures["largest_after_all_m"], nan=-1.0, posinf=np.inf)
-    again = ("ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw")
     order = np.lexsort((flights.draw, -errors, _rank(flights.verdict)))[:count]
     return [
         WorstFlight(
@@ -339,11 +338,28 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
             uav=int(table["uav"][flights.worst[k]]),
             verdict=str(flights.verdict[k]),
             cause=str(table["cause"][flights.worst[k]]),
-            command=shlex.join([*again, str(flights.draw[k])]),
+            command=_again(sweep, int(flights.draw[k])),
             **{name: number(values[k]) for name, values in figures.items()},
         )
         for k in order
     ]
+
+
+def _again(sweep: FlownSweep, draw: int) -> str:
+    return shlex.join(["ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw", str(draw)])
+
+
+def look_first(sweep: FlownSweep, count: int = 1) -> Iterator[str]:
+    """The worst flights and the one with the closest pair, a line each with the command that flies it again."""
+    for flight in worst(sweep, count):
+        off = flight.largest_after_all_m
+        error = "" if off is None else f", {length(off)} off"
+        yield f"worst: draw {flight.draw} ({flight.verdict}{error}): {flight.command}"
+    apart = sweep.table.of_flights("closest_uav_m")
+    if np.isfinite(apart).any():
+        k = int(np.nanargmin(apart))
+        draw = int(sweep.table.flights.draw[k])
+        yield f"closest UAVs: draw {draw} ({length(apart[k])}): {_again(sweep, draw)}"
 
 
 class Quantiles(NamedTuple):
@@ -443,7 +459,8 @@ def title(sweep: FlownSweep) -> str:
         numbers = ",".join(f"{value:g}" for value in plan.starts.numbers)
         drawn.append(f"starts {plan.starts.kind}:{numbers}")
     varied = f"; {', '.join(drawn)}" if drawn else ""
-    return f"{plan.name}: {plan.draws} flights, seed {plan.seed}{varied}"
+    part = "" if plan.stop_after_s is None else f", the first {plan.stop_after_s:g} s"
+    return f"{plan.name}: {plan.draws} flights{part}, seed {plan.seed}{varied}"
 
 
 def _cells_table(sweep: FlownSweep) -> Table | None:

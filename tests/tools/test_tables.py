@@ -33,7 +33,8 @@ def test_the_sentence_says_who_was_there_and_why_others_came_later(late: Verdict
     )
     assert "Nearest: UAV 3 and UAV 4, 0.70 m (0.50 to be kept)." in text
     assert text.endswith(
-        "1 UAV gave way later, or followed one that did: back 0.0 s after the encounter at most."
+        "1 UAV gave way later, or followed one that did: 0.50 m off, "
+        "back 0.0 s after the encounter, at most."
     )
 
 

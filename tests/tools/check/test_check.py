@@ -96,6 +96,14 @@ def test_desired_positions_closer_than_the_safe_distance() -> None:
     assert desired[0].limit == ">= 1.32 m"  # 0.02 m of clearance.margin_m
 
 
+def test_a_tolerance_as_wide_as_the_keep_out_is_a_warning() -> None:
+    """Centimetres meant: with 5 m every flight is met before it begins."""
+    findings = check(load_scenario("paper_5", {"formation.tolerance_m": 5}))
+    (found,) = (finding for finding in findings if finding.severity == "warning")
+    assert (found.key, found.value) == ("formation.tolerance_m", "5 m")
+    assert found.limit == "< 0.5 m, formation.uav_keep_out_m"
+
+
 def test_starts_closer_than_the_safe_distance() -> None:
     found = errors(**{"uavs[1].position_m": [-1, -0.3, 1]})
     assert [finding.key for finding in found] == ["uavs position_m"]

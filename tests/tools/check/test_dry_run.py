@@ -96,7 +96,7 @@ def test_the_plan_says_who_meets_what_when():
     scenario = load_scenario("paper_5")
     told = dry_run.plan(scenario, check(scenario), None)
     assert told["deadline"] == "5 s; UAV 3 has 7.97 m to fly to its place and needs 3.17 s"
-    assert told["meets"] == "O1 from 18.0 s (UAV 5, 4); O2 from 36.3 s (UAV 1, 4, 5)"
+    assert told["avoids"] == "O1 from 18.0 s (UAV 5, 4); O2 from 36.3 s (UAV 1, 4, 5)"
     assert "flown" not in told
     told = dry_run.plan(load_scenario("mission_6"), [], None)
     assert told["legs"].startswith("form-1 by 7 s, gate by 17 s")

@@ -44,16 +44,21 @@ def test_a_sweep_says_its_share_and_how_to_fly_the_worst_again(tmp_path: Path) -
     code, out, _ = run("sweep", *SMALL, *ALONE, "--output", folder, "--no-report")
     assert code == 0
     first, second, *_ = out.splitlines()
-    assert first == "paper_5: 4 flights, seed 0; starts near:0.2"
+    assert first == "paper_5: 4 flights, the first 1.2 s, seed 0; starts near:0.2"
     assert second.startswith("Flights met: ")
     assert "largest after tf" not in out
-    assert out.count(f"ptnsbc simulate --sweep {folder} --draw ") == 1
+    assert re.search(
+        rf"^worst: draw \d \(.*\): ptnsbc simulate --sweep {folder} --draw \d$", out, re.M
+    )
+    assert re.search(
+        r"^closest UAVs: draw \d \([\d.]+ m\): ptnsbc simulate .* --draw \d$", out, re.M
+    )
     assert f"table: {folder / 'table.parquet'}" in out
     code, out, _ = run("sweep", *SMALL, *ALONE, "--output", folder, "--verbose")
     assert code == 0
     assert "largest after tf, with excused spans" in out
     assert "largest after tf, without excused spans" in out
-    assert out.count(f"ptnsbc simulate --sweep {folder} --draw ") == 4
+    assert out.count(f"ptnsbc simulate --sweep {folder} --draw ") == 5
     assert (folder / "report" / "index.html").is_file()
 
 
