@@ -41,6 +41,20 @@ def test_a_table_that_fits_is_left_alone() -> None:
     assert console.narrowed(table, console.recording(io.StringIO(), 200)) == [table]
 
 
+@pytest.mark.parametrize(("path", "word"), [("elsewhere", "bin/ptnsbc"), ("bin", "ptnsbc")])
+def test_what_to_type_next_is_found_by_this_shell(
+    path: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """README's `make demo` runs before anybody has activated the environment."""
+    script = tmp_path / "bin" / "ptnsbc"
+    script.parent.mkdir()
+    script.touch(0o755)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(script), "demo"])
+    monkeypatch.setenv("PATH", str(tmp_path / path))
+    assert console.program() == word
+
+
 def test_a_compilation_shows_its_share_and_time_and_nothing_else_is_one(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
