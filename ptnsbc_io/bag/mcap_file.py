@@ -36,7 +36,8 @@ LARGEST_CHUNK = 1 << 25  # [bytes], uncompressed; writers make chunks of one to 
 MOST_MESSAGES = 200_000  # in a chunk; one of ours has some thousand
 LAST_NS = 2**63 - 1  # of all times, in the year 2262
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
-_MESSAGE = struct.Struct("<BQHIQQ")
+# Opcode, length of the body, channel, sequence number, times of the log and of the publication.
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 # A chunk before the name of its compression: head, start, end, size, checksum, length of the name.
 _BEFORE_COMPRESSION = RECORD_HEAD.size + 8 + 8 + 8 + 4
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
@@ -156,9 +157,9 @@ def chunk_records(
     """
     at, messages, size = 0, 0, len(data)
     while at < size:
-        if data[at] == Opcode.MESSAGE and size - at >= _MESSAGE.size:
-            _, length, channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
-            start, at = at + _MESSAGE.size, at + RECORD_HEAD.size + length
+        if data[at] == Opcode.MESSAGE and size - at >= MESSAGE_HEAD.size:
+            _, length, channel_id, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(data, at)
+            start, at = at + MESSAGE_HEAD.size, at + RECORD_HEAD.size + length
             if not start <= at <= size:
                 raise ValueError("length of a message")
             if channels is None or channel_id in channels:

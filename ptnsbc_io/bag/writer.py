@@ -13,14 +13,13 @@ import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any, NamedTuple
+from typing import NamedTuple
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
-from ptnsbc_io.bag.chunk_index import keep_on_disk
+from ptnsbc_io.bag.mcap_writer import McapFileWriter
 from ptnsbc_io.bag.metadata import (
     METADATA_FILE,
     METADATA_RECORD,
@@ -35,15 +34,7 @@ from ptnsbc_io.bag.metadata import (
 
 FLUSH_PERIOD = 0.5  # [s]: with the time to notice and to write, below the promised second
 
-_LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
-_CHUNK_SIZE = 1 << 20  # [bytes], before compression
 _OF_A_BAG = re.compile(r"metadata\.yaml|.*\.(mcap|db3)(\.zstd)?")
-_MEDIA_TYPES = {
-    ".yaml": "application/yaml",
-    ".json": "application/json",
-    ".txt": "text/plain",
-    ".md": "text/markdown",
-}
 
 
 class SplitLimits(NamedTuple):
@@ -51,6 +42,15 @@ class SplitLimits(NamedTuple):
 
     size_bytes: int | None = None
     duration_ns: int | None = None  # in log time
+
+    def are_reached(self, file: McapFileWriter, log_ns: int) -> bool:
+        """True if a message logged at `log_ns` belongs into the next file."""
+        if file.start_ns is None:
+            return False
+        if self.duration_ns is not None and log_ns - file.start_ns >= self.duration_ns:
+            return True
+        # The open chunk is not in the file yet: the file may exceed the limit by one chunk.
+        return self.size_bytes is not None and file.size >= self.size_bytes
 
 
 def check_replaceable(directory: Path, *, overwrite: bool) -> None:
@@ -74,94 +74,10 @@ def check_replaceable(directory: Path, *, overwrite: bool) -> None:
         )
 
 
-class McapFileWriter:
-    """One MCAP file while it is written; it is complete in itself, also as a part of a split bag.
-
-    Its arguments are those of the bag, with all metadata records by name.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        topics: Sequence[TopicDeclaration],
-        attachments: Mapping[str, bytes],
-        metadata: Mapping[str, Mapping[str, str]],
-        compression: CompressionType,
-    ) -> None:
-        self.path = path
-        self.counts: list[int] = []  # messages of each topic
-        self.start_ns: int | None = None  # None without messages
-        self._end_ns = 0
-        self._channels: list[int] = []
-        self._schemas: dict[tuple[str, bytes], int] = {}
-        self._stream: IO[bytes] = path.open("wb")
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=compression)
-        self._indexes = keep_on_disk(self._writer, path.parent)
-        self._writer.start(profile="ros2", library=_LIBRARY)
-        for name, data in sorted(attachments.items()):
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            self._writer.add_attachment(0, 0, name, media_type, data)
-        for name, pairs in sorted(metadata.items()):
-            self._writer.add_metadata(name, dict(pairs))
-        for topic in topics:
-            self.declare(topic)
-        self.flush()
-
-    def declare(self, topic: TopicDeclaration) -> None:
-        """Add a topic; it gets the next number."""
-        key = (topic.type, topic.schema)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(
-                name=topic.type, encoding=topic.schema_encoding, data=topic.schema
-            )
-        self._channels.append(
-            self._writer.register_channel(
-                topic=topic.name,
-                message_encoding=topic.message_encoding,
-                schema_id=self._schemas[key],
-                metadata=topic.channel_metadata,
-            )
-        )
-        self.counts.append(0)
-
-    @property
-    def summary(self) -> FileSummary:
-        """Name, times and number of messages so far."""
-        return FileSummary(self.path.name, self.start_ns or 0, self._end_ns, sum(self.counts))
-
-    def is_full(self, limits: SplitLimits, log_ns: int) -> bool:
-        """True if a message logged at `log_ns` belongs into the next file."""
-        if self.start_ns is None:
-            return False
-        if limits.duration_ns is not None and log_ns - self.start_ns >= limits.duration_ns:
-            return True
-        # The open chunk is not in the file yet: the file may exceed the limit by one chunk.
-        return limits.size_bytes is not None and self._stream.tell() >= limits.size_bytes
-
-    def add(self, topic: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Append a message of topic number `topic`."""
-        self._writer.add_message(self._channels[topic], log_ns, data, publish_ns, sequence)
-        self.counts[topic] += 1
-        self.start_ns = log_ns if self.start_ns is None else min(log_ns, self.start_ns)
-        self._end_ns = max(log_ns, self._end_ns)
-
-    def flush(self) -> None:
-        """Close the chunk and pass it to the operating system; from then on it survives a crash."""
-        self._writer.flush()
-        self._stream.flush()
-
-    def finish(self, information: Mapping[str, Any]) -> None:
-        """Write rosbag2's record, the index and the summary, and close the file."""
-        with self._stream, closing(self._indexes):
-            record = {"serialized_metadata": to_yaml(dict(information))}
-            self._writer.add_metadata("rosbag2", record)
-            self._writer.finish()
-
-
 class _WriteGuard:
     """Delays Ctrl-C while its block writes a record, and turns an error of the disk into a BagError.
 
-    A KeyboardInterrupt inside the MCAP library leaves half a record in the chunk, and the bag is unreadable from there
+    A KeyboardInterrupt between two steps leaves half a record in the chunk, and the bag is unreadable from there
     on. Under full load that happened with a quarter of all Ctrl-C. The guard acts only where Python's default handler
     would: in the main thread, when the program has no handler of its own, and rclpy has installed none in C.
     """
@@ -328,7 +244,7 @@ class BagWriter:
         publish_ns = stamp_ns if publish_ns is None else publish_ns
         sequence = self._counts[number] if sequence is None else sequence
         with self._guard:
-            if self._file.is_full(self._limits, stamp_ns):
+            if self._limits.are_reached(self._file, stamp_ns):
                 self._finish_file(self._file)
                 self._file = self._next_file()
             self._file.add(number, stamp_ns, publish_ns, sequence, data)
