@@ -16,24 +16,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import CompressionType
 
 from ptnsbc_io.bag.mcap_file import MAGIC, MESSAGE_HEAD, RECORD_HEAD
@@ -43,9 +28,7 @@ _LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
 _CHUNK_SIZE = 1 << 20  # [bytes], before compression
 _BLOCK = 1 << 16  # [bytes], of the index at once
 _INDEX_HEAD = struct.Struct("<BQHI")  # opcode, length of the body, channel, size of the places
-_FOOTER_HEAD = struct.Struct(
-    "<BQQQ"
-)  # opcode, length of the body, begin of the summary and of its offsets
+_FOOTER_HEAD = struct.Struct("<BQQQ")  # opcode, length of the body, begin of summary and offsets
 _MEDIA_TYPES = {
     ".yaml": "application/yaml",
     ".json": "application/json",
@@ -73,33 +56,21 @@ class McapFileWriter:
         self._end_ns = 0
         self._compression = compression
         self._counts: dict[int, int] = {}  # messages by channel
-        self._channels: list[Channel] = []
-        self._schemas: dict[tuple[str, bytes], Schema] = {}
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self._channels: list[records.Channel] = []
+        self._schemas: dict[tuple[str, bytes], records.Schema] = {}
+        self._attachments: list[records.AttachmentIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
         self._chunk = bytearray()  # records of the open chunk
         self._places: dict[int, list[int]] = {}  # in it, by channel: log time and offset in turn
         self._chunks = 0
         self._stream: IO[bytes] = path.open("wb")
         self._indexes = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - of the chunks
-        self._stream.write(MAGIC + _encoded(Header("ros2", _LIBRARY)))
+        self._stream.write(MAGIC + _encoded(records.Header("ros2", _LIBRARY)))
         for name, data in sorted(attachments.items()):
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            attached = Attachment(
-                create_time=0, log_time=0, name=name, media_type=media_type, data=data
-            )
-            place, length = self._append(attached)
-            self._attachments.append(
-                AttachmentIndex(
-                    offset=place,
-                    length=length,
-                    create_time=0,
-                    log_time=0,
-                    data_size=len(data),
-                    name=name,
-                    media_type=media_type,
-                )
-            )
+            place = self._append(records.Attachment(0, 0, name, media_type, data))
+            about = 0, 0, len(data), name, media_type
+            self._attachments.append(records.AttachmentIndex(*place, *about))
         for name, pairs in sorted(metadata.items()):
             self._add_metadata(name, dict(pairs))
         for topic in topics:
@@ -108,19 +79,14 @@ class McapFileWriter:
 
     def declare(self, topic: TopicDeclaration) -> None:
         """Add a topic; it gets the next number."""
-        key = (topic.type, topic.schema)
-        if key not in self._schemas:
-            number = len(self._schemas) + 1
-            schema = Schema(number, topic.schema, topic.schema_encoding, topic.type)
-            self._schemas[key] = schema
+        schema = self._schemas.get((topic.type, topic.schema))
+        if schema is None:
+            about = topic.schema, topic.schema_encoding, topic.type
+            schema = records.Schema(len(self._schemas) + 1, *about)
+            self._schemas[topic.type, topic.schema] = schema
             self._chunk += _encoded(schema)
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic.name,
-            message_encoding=topic.message_encoding,
-            metadata=topic.channel_metadata,
-            schema_id=self._schemas[key].id,
-        )
+        number, metadata = len(self._channels) + 1, topic.channel_metadata
+        channel = records.Channel(number, topic.name, topic.message_encoding, metadata, schema.id)
         self._channels.append(channel)
         self._chunk += _encoded(channel)
 
@@ -166,59 +132,45 @@ class McapFileWriter:
         with self._stream, self._indexes:
             self._add_metadata("rosbag2", {"serialized_metadata": to_yaml(dict(information))})
             self._close_chunk()
-            self._append(DataEnd(0))
+            self._append(records.DataEnd(0))
             self._write_summary()
 
-    def _append(self, record: McapRecord) -> tuple[int, int]:
+    def _append(self, record: records.McapRecord) -> tuple[int, int]:
         """Write a record to the file; returns its place and its length."""
         place, encoded = self._stream.tell(), _encoded(record)
         self._stream.write(encoded)
         return place, len(encoded)
 
     def _add_metadata(self, name: str, pairs: dict[str, str]) -> None:
-        self._metadata.append(MetadataIndex(*self._append(Metadata(name, pairs)), name))
+        place = self._append(records.Metadata(name, pairs))
+        self._metadata.append(records.MetadataIndex(*place, name))
 
     def _close_chunk(self) -> None:
         """Write the chunk and the places of its messages; one without messages stays open."""
         places = self._places
         if not places:
             return
-        records, self._chunk, self._places = self._chunk, bytearray(), {}
-        kind, compressed = _compress(records, self._compression)
-        chunk = Chunk(
-            compression=kind,
-            data=compressed,
-            message_start_time=min(min(each[::2]) for each in places.values()),
-            message_end_time=max(max(each[::2]) for each in places.values()),
-            uncompressed_crc=zlib.crc32(records),
-            uncompressed_size=len(records),
-        )
-        place, length = self._append(chunk)
-        tables, tables_at, offsets = bytearray(), place + length, {}
+        raw, self._chunk, self._places = self._chunk, bytearray(), {}
+        kind, data = _compress(raw, self._compression)
+        first_ns = min(min(each[::2]) for each in places.values())
+        last_ns = max(max(each[::2]) for each in places.values())
+        chunk = records.Chunk(kind, data, last_ns, first_ns, zlib.crc32(raw), len(raw))
+        start, length = self._append(chunk)
+        tables, offsets = bytearray(), {}
         for channel, each in places.items():
-            offsets[channel], size = tables_at + len(tables), 8 * len(each)
+            offsets[channel], size = start + length + len(tables), 8 * len(each)
             tables += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
             tables += struct.pack(f"<{len(each)}Q", *each)
         self._stream.write(tables)
-        index = ChunkIndex(
-            chunk_length=length,
-            chunk_start_offset=place,
-            compression=kind,
-            compressed_size=len(compressed),
-            message_end_time=chunk.message_end_time,
-            message_index_length=len(tables),
-            message_index_offsets=offsets,
-            message_start_time=chunk.message_start_time,
-            uncompressed_size=len(records),
-        )
-        self._indexes.write(_encoded(index))
+        sizes = kind, len(data), last_ns, len(tables), offsets, first_ns, len(raw)
+        self._indexes.write(_encoded(records.ChunkIndex(length, start, *sizes)))
         self._chunks += 1
 
     def _write_summary(self) -> None:
         """Write everything behind the messages: schemas, channels, statistics and indexes, and where each begins."""
         stream, crc = self._stream, 0
         self._indexes.seek(0)
-        statistics = Statistics(
+        statistics = records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
@@ -238,29 +190,29 @@ class McapFileWriter:
             (Opcode.METADATA_INDEX, map(_encoded, self._metadata)),
         )
         begin, offsets = stream.tell(), b""
-        for opcode, records in groups:
+        for opcode, group in groups:
             place = stream.tell()
-            for data in records:
+            for data in group:
                 crc = zlib.crc32(data, crc)
                 stream.write(data)
-            offsets += _encoded(SummaryOffset(opcode, place, stream.tell() - place))
+            offsets += _encoded(records.SummaryOffset(opcode, place, stream.tell() - place))
         places = begin, stream.tell()
         crc = zlib.crc32(offsets + _FOOTER_HEAD.pack(Opcode.FOOTER, 20, *places), crc)
-        stream.write(offsets + _encoded(Footer(*places, crc)) + MAGIC)
+        stream.write(offsets + _encoded(records.Footer(*places, crc)) + MAGIC)
 
 
-def _encoded(record: McapRecord) -> bytes:
+def _encoded(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
 
 
-def _compress(records: bytearray, compression: CompressionType) -> tuple[str, bytes]:
+def _compress(raw: bytearray, compression: CompressionType) -> tuple[str, bytes]:
     """The name of the compression in a chunk, and the bytes."""
     if compression is CompressionType.ZSTD:
-        return "zstd", zstandard.compress(records)
+        return "zstd", zstandard.compress(raw)
     if compression is CompressionType.LZ4:
         import lz4.frame
 
-        return "lz4", bytes(lz4.frame.compress(records))
-    return "", bytes(records)
+        return "lz4", bytes(lz4.frame.compress(raw))
+    return "", bytes(raw)

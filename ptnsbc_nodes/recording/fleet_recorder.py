@@ -174,7 +174,8 @@ class RealTimeRecorder(BagRecorder):
             derived.append((topics.MARKERS.name, draw))
         for topic in recorded:
             profile = qos.recorder_profile(topic, lockstep=False)
-            self.subscribe(topic, full_name(node, topic), self.on_arrival(topic, derived), profile)
+            used = derived if topic == topics.EPOCH or _OWN.fullmatch(topic.name) else ()
+            self.subscribe(topic, full_name(node, topic), self.on_arrival(topic, used), profile)
         self.flush_regularly()
 
 
@@ -183,6 +184,8 @@ class LockstepRecorder(BagRecorder):
 
     Bytes that depended on wall time would differ from run to run: what is written is flushed by stamp.
     """
+
+    rest_s = 0.0  # the sim waits for it
 
     def __init__(
         self,
@@ -229,12 +232,11 @@ class LockstepRecorder(BagRecorder):
         """As of any recorder."""
         return self._order.late
 
-    def _in_order(self, topic: Topic) -> Callable[[bytes], None]:
+    def _in_order(self, topic: Topic) -> Callable[[bytes, int], None]:
         last_ns = 0
 
-        def record(data: bytes) -> None:
+        def record(data: bytes, _arrived_ns: int) -> None:
             nonlocal last_ns
-            self.received += 1
             stamp_ns = stamp_of(topic, data)
             # An empty list has no stamp; that of its predecessor is the same on every run.
             last_ns = last_ns if stamp_ns is None else stamp_ns
@@ -276,7 +278,7 @@ class LockstepRecorder(BagRecorder):
             self._acknowledged_ns = stamp_ns
             self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))
 
-    def _on_lost(self, data: bytes) -> None:
+    def _on_lost(self, data: bytes, _arrived_ns: int) -> None:
         """Wait for the messages of a UAV no longer; those about its vehicle still come, from the sim."""
         try:
             process = decode_lost(data)

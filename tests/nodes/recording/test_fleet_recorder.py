@@ -173,6 +173,7 @@ def test_lockstep_gives_the_same_bytes_whenever_a_leg_is_announced(ros, tmp_path
 
 
 def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
+    """Those that waited in it are logged when they arrived, not when they were taken out."""
     odom = topics.odom(1)
     depth = qos.recorder_profile(odom, lockstep=False).depth
     sent = messages(depth + 31)[odom]
@@ -185,9 +186,13 @@ def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
         ros.spin_until(lambda: recorder.received == 1)
         assert recorder.lost == 0
         flight.publish_paced((odom, data) for data in sent[1:])
+        published_ns = time.time_ns()
         ros.spin_until(lambda: recorder.received == 1 + depth)
         recorder.finish()
     assert recorder.lost == 30
+    arrived = [message.stamp_ns for message in read_bag(tmp_path / "flight").messages([odom.name])]
+    assert arrived == sorted(arrived)
+    assert arrived[depth // 2] < published_ns
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
