@@ -16,6 +16,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.duration import Duration
+
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
@@ -52,7 +54,7 @@ def messages(ticks: int) -> dict[topics.Topic, list[bytes]]:
 
 
 class Flight:
-    """Publishers that match the recorder before the first message."""
+    """Publishers that match the recorder, a node of ours or a process, before the first message."""
 
     def __init__(self, ros, recorded, *, lockstep: bool, recorder=None) -> None:
         self.node = node = ros.node("uav")
@@ -60,23 +62,24 @@ class Flight:
             topic: node.create_publisher(
                 topics.message_class(topic), topic.name, qos.profile(topic, lockstep=lockstep)
             )
-            for topic in recorded
+            for topic in sorted(recorded, key=topics.EPOCH.__eq__)
         }
         ros.spin_until(lambda: all(p.get_subscription_count() for p in self._publishers.values()))
-        if recorder is None:
-            # A process may learn of the match a little later than its other end, and cannot be asked.
-            ros.spin_for(0.3)
-        else:
-            names = {topic.name for topic in recorded}
-            ends = [end for end in recorder.subscriptions if end.topic_name in names]
-            ros.spin_until(lambda: all(end.get_publisher_count() for end in ends))
+        names = {topic.name for topic in recorded}
+        ends = (
+            [end for end in recorder.subscriptions if end.topic_name in names] if recorder else []
+        )
+        ros.spin_until(lambda: all(end.get_publisher_count() for end in ends))
 
     def publish(self, topic, data: bytes) -> None:
         self._publishers[topic].publish(data)
 
     def publish_paced(self, order) -> None:
-        for topic, data in order:
+        """The epoch first: its publisher was announced last, so who acknowledges the epoch knows all of them."""
+        for topic, data in sorted(order, key=lambda message: message[0] != topics.EPOCH):
             self.publish(topic, data)
+            if topic == topics.EPOCH:
+                assert self._publishers[topic].wait_for_all_acked(Duration(seconds=60))
             # As a fleet does: best effort holds no message back for a reader that is not so quick.
             time.sleep(0.002)
 
@@ -228,7 +231,7 @@ def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
         sim = Endpoints(ros.node("sim"), lockstep=True)
         sim.listen(topics.RECORDED, wire.decode_header, told.append)
         lost = sim.publisher(topics.LOST, 1)
-        flight = Flight(ros, recorded, lockstep=True)
+        flight = Flight(ros, recorded, lockstep=True, recorder=node)
         ros.spin_until(lambda: not sim.unheard() and not sim.unread())
         for tick in range(60):
             flight.publish(odom, sent[odom][tick])
@@ -257,7 +260,7 @@ def test_the_sim_is_told_when_what_comes_seldom_comes_last(ros, tmp_path):
         recorder = LockstepRecorder(node, writer, recorded, Transforms([1]))
         sim = Endpoints(ros.node("sim"), lockstep=True)
         sim.listen(topics.RECORDED, wire.decode_header, told.append)
-        flight = Flight(ros, recorded, lockstep=True)
+        flight = Flight(ros, recorded, lockstep=True, recorder=node)
         ros.spin_until(lambda: not sim.unheard())
         for tick in range(60):
             flight.publish(odom, sent[odom][tick])
