@@ -136,6 +136,13 @@ def encode_string(text: str) -> bytes:
     return struct.pack("<I", len(raw) + 1) + raw + b"\0"
 
 
+@lru_cache(maxsize=512)  # of a status most strings are those of the one before
+def aligned_string(text: str) -> bytes:
+    """A string and the zeros up to the next one or a number; it begins aligned to 4."""
+    encoded = encode_string(text)
+    return encoded + bytes(-len(encoded) % 4)
+
+
 def header_bytes(frame_id: str) -> bytearray:
     """The start of every stamped message: encapsulation and std_msgs/Header with a zero stamp."""
     return bytearray(LITTLE_ENDIAN_HEADER + bytes(8) + encode_string(frame_id))

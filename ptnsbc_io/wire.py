@@ -25,6 +25,7 @@ from ptnsbc_io.cdr import (
     TIME,
     Floats,
     Reader,
+    aligned_string,
     byte_order,
     cut,
     encode_string,
@@ -457,17 +458,10 @@ def encode_near(stamp_ns: int, frame_id: str, rows: Floats) -> bytes:
     if rows.ndim != 2 or rows.shape[1] != len(NEAR_FIELDS):
         raise WireError(f"{_NEAR}: rows of shape {rows.shape}: expected (M, 7)")
     points = rows.astype("<f4").tobytes()
-    buffer = bytearray(LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + _encoded(frame_id))
+    buffer = bytearray(LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + aligned_string(frame_id))
     buffer += struct.pack("<II", 1, len(rows)) + _OUR_TABLE  # height, width
     buffer += struct.pack("<II", len(points), len(points)) + points  # row_step, length of data
     return bytes(buffer + b"\x01")  # is_dense
-
-
-@lru_cache(maxsize=64)
-def _encoded(frame_id: str) -> bytes:
-    """A string and the zeros up to the next number; it begins aligned to 4."""
-    text = encode_string(frame_id)
-    return text + bytes(-len(text) % 4)
 
 
 def decode_near(buf: bytes) -> Stamped:

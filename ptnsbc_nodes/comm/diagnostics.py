@@ -7,15 +7,15 @@ that a bag has both.
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ptnsbc_io.cdr import encode, split_stamp
+from ptnsbc_io.cdr import LITTLE_ENDIAN_HEADER, aligned_string, encode_string, stamp_bytes
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 
@@ -24,6 +24,7 @@ INACTIVE = "activation"
 SAFETY = "safety"
 """Key of the safety state."""
 _LOG_GAP_S = 1.0
+_STATUS_HEAD, _COUNT = struct.Struct("<IBxxx"), struct.Struct("<I")
 
 
 class DiagnosticLevel(IntEnum):
@@ -60,17 +61,26 @@ class StatusLog:
 def diagnostics(
     stamp_ns: int, name: str, level: DiagnosticLevel, message: str, values: Mapping[str, str]
 ) -> bytes:
-    """A DiagnosticArray with one status, serialised; `name` is like `uav3: planner`."""
-    status = DiagnosticStatus(
-        level=bytes([level]),
-        name=name,
-        message=message,
-        hardware_id=name.partition(":")[0],
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    """A DiagnosticArray with one status, serialised; `name` is like `uav3: planner`.
+
+    rclpy's objects of a status with twenty values cost more than a control step.
+    """
+    texts = [text for pair in values.items() for text in pair]
+    pairs = [
+        *map(aligned_string, texts[:-1]),
+        *map(encode_string, texts[-1:]),
+    ]  # the last alone ends unaligned
+    return b"".join(
+        (
+            LITTLE_ENDIAN_HEADER,
+            stamp_bytes(stamp_ns),
+            aligned_string(""),  # frame_id
+            _STATUS_HEAD.pack(1, level),
+            *map(aligned_string, (name, message, name.partition(":")[0])),
+            _COUNT.pack(len(values)),
+            *pairs,
+        )
     )
-    array = DiagnosticArray(status=[status])
-    array.header.stamp.sec, array.header.stamp.nanosec = split_stamp(stamp_ns)
-    return encode(array)
 
 
 class StatusPublisher:

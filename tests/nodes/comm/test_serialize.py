@@ -46,6 +46,17 @@ def test_gaps_are_zero():
     assert encode(message)[12:32].hex(" ", 4) == "01000000 00000000 01000000 00000000 02000000"
 
 
+@pytest.mark.parametrize("count", range(4))
+def test_a_status_has_the_bytes_of_its_object(count):
+    values = {"k" * n: "µ" * n for n in range(count)}
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    about = {"name": "uav3: planner", "message": "held", "hardware_id": "uav3", "values": pairs}
+    array = DiagnosticArray(status=[DiagnosticStatus(level=b"\x02", **about)])
+    array.header.stamp.sec, array.header.stamp.nanosec = 7, 8
+    encoded = diagnostics(7_000_000_008, "uav3: planner", DiagnosticLevel.ERROR, "held", values)
+    assert encoded == encode(array)
+
+
 def test_diagnostics_message():
     data = diagnostics(
         1_500_000_000, "uav3: planner", DiagnosticLevel.WARN, "holding", readiness(["/a", "/b"])
