@@ -11,7 +11,6 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,7 +25,6 @@ from ptnsbc_io.bag.metadata import FileSummary, TopicDeclaration, to_yaml
 
 _LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
 _CHUNK_SIZE = 1 << 20  # [bytes], before compression
-_BLOCK = 1 << 16  # [bytes], of the index at once
 _INDEX_HEAD = struct.Struct("<BQHI")  # opcode, length of the body, channel, size of the places
 _FOOTER_HEAD = struct.Struct("<BQQQ")  # opcode, length of the body, begin of summary and offsets
 _MEDIA_TYPES = {
@@ -137,9 +135,8 @@ class McapFileWriter:
 
     def _append(self, record: records.McapRecord) -> tuple[int, int]:
         """Write a record to the file; returns its place and its length."""
-        place, encoded = self._stream.tell(), _encoded(record)
-        self._stream.write(encoded)
-        return place, len(encoded)
+        place = self._stream.tell()
+        return place, self._stream.write(_encoded(record))
 
     def _add_metadata(self, name: str, pairs: dict[str, str]) -> None:
         place = self._append(records.Metadata(name, pairs))
@@ -185,7 +182,7 @@ class McapFileWriter:
             (Opcode.SCHEMA, map(_encoded, self._schemas.values())),
             (Opcode.CHANNEL, map(_encoded, self._channels)),
             (Opcode.STATISTICS, [_encoded(statistics)]),
-            (Opcode.CHUNK_INDEX, iter(partial(self._indexes.read, _BLOCK), b"")),
+            (Opcode.CHUNK_INDEX, [self._indexes.read()]),
             (Opcode.ATTACHMENT_INDEX, map(_encoded, self._attachments)),
             (Opcode.METADATA_INDEX, map(_encoded, self._metadata)),
         )

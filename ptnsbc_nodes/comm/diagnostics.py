@@ -24,7 +24,8 @@ INACTIVE = "activation"
 SAFETY = "safety"
 """Key of the safety state."""
 _LOG_GAP_S = 1.0
-_STATUS_HEAD, _COUNT = struct.Struct("<IBxxx"), struct.Struct("<I")
+_STATUS_HEAD = struct.Struct("<I4xIB3x")  # of an empty frame_id, for one status, with its level
+_COUNT = struct.Struct("<I")
 
 
 class DiagnosticLevel(IntEnum):
@@ -66,21 +67,11 @@ def diagnostics(
     rclpy's objects of a status with twenty values cost more than a control step.
     """
     texts = [text for pair in values.items() for text in pair]
-    pairs = [
-        *map(aligned_string, texts[:-1]),
-        *map(encode_string, texts[-1:]),
-    ]  # the last alone ends unaligned
-    return b"".join(
-        (
-            LITTLE_ENDIAN_HEADER,
-            stamp_bytes(stamp_ns),
-            aligned_string(""),  # frame_id
-            _STATUS_HEAD.pack(1, level),
-            *map(aligned_string, (name, message, name.partition(":")[0])),
-            _COUNT.pack(len(values)),
-            *pairs,
-        )
-    )
+    about = b"".join(map(aligned_string, (name, message, name.partition(":")[0])))
+    # Nothing is aligned behind the last text.
+    pairs = b"".join((*map(aligned_string, texts[:-1]), *map(encode_string, texts[-1:])))
+    head = LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + _STATUS_HEAD.pack(1, 1, level)
+    return head + about + _COUNT.pack(len(values)) + pairs
 
 
 class StatusPublisher:

@@ -10,7 +10,6 @@ sort beyond it.
 from __future__ import annotations
 
 import heapq
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -25,9 +24,7 @@ from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, SIM, Role, Topic
-from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, stamp_of
-
-_OWN = re.compile(r"/uav(\d+)/odom")
+from ptnsbc_nodes.recording.recorder import OWN_ODOMETRY, BagRecorder, Derive, stamp_of
 
 # Published by every UAV: the order of arrival between UAVs is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
@@ -142,7 +139,7 @@ def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
     for name in names:
         if name == topics.DIAGNOSTICS.name:
             yield SIM
-            yield from (f"uav{found[1]}" for found in map(_OWN.fullmatch, names) if found)
+            yield from (f"uav{found[1]}" for found in map(OWN_ODOMETRY.fullmatch, names) if found)
         else:
             yield name
 
@@ -174,7 +171,7 @@ class RealTimeRecorder(BagRecorder):
             derived.append((topics.MARKERS.name, draw))
         for topic in recorded:
             profile = qos.recorder_profile(topic, lockstep=False)
-            used = derived if topic == topics.EPOCH or _OWN.fullmatch(topic.name) else ()
+            used = derived if topic == topics.EPOCH or OWN_ODOMETRY.fullmatch(topic.name) else ()
             self.subscribe(topic, full_name(node, topic), self.on_arrival(topic, used), profile)
         self.flush_regularly()
 

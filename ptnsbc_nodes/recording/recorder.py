@@ -219,7 +219,7 @@ OURS = (
 _LOOK_S = 0.5  # between two looks for new topics
 _QUEUE = 1000
 _DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
-_OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
+OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
 
 
 class RecordError(PtnsbcError):
@@ -309,7 +309,7 @@ class TopicRecorder(BagRecorder):
             self._say(f"{topic.name} is left out: {error}")
             return
         derived: list[tuple[str, Derive]] = []
-        own = _OWN_ODOMETRY.fullmatch(topic.name)
+        own = OWN_ODOMETRY.fullmatch(topic.name)
         if own and topic.type == topics.odom(1).type and topics.TF.name not in self._known:
             self._writer.add(self._tf)
             transforms = Transforms([int(own[1])])

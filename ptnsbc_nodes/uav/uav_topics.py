@@ -112,7 +112,10 @@ class Subscriptions:
 
 
 class Outbox:
-    """Publishers of one UAV: what it sends at each tick, and in real time the log to repeat its steps by."""
+    """Publishers of one UAV: what it sends at each tick, and in real time the log to repeat its steps by.
+
+    Velocities and the log are for bridges and recorders: without a subscriber they are not encoded.
+    """
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
         uav, recorders = flight.uav, edges.options.recorders
@@ -127,6 +130,7 @@ class Outbox:
                 topics.velocity_setpoint(uav),
             )
         )
+        self._velocity_readers = endpoints.readers(topics.velocity_setpoint(uav))
         self._logs = not edges.options.lockstep
         if self._logs:
             self._controller = flight.controller
@@ -136,6 +140,8 @@ class Outbox:
             self._snapshot: SnapshotTemplate | None = None
             self._send_tick = endpoints.publisher(topics.tick(uav), recorders)
             self._send_snapshot = endpoints.publisher(topics.snapshot(uav), recorders)
+            self._tick_readers = endpoints.readers(topics.tick(uav))
+            self._snapshot_readers = endpoints.readers(topics.snapshot(uav))
 
     def send(self, step: FlownStep) -> None:
         """Publish a step; the wrench first, because the plant waits for it."""
@@ -143,16 +149,18 @@ class Outbox:
         self._send_wrench(messages.wrench(stamp_ns, outputs.wrench))
         self._send_state(messages.state(step.own, outputs))
         self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
-        self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
+        if self._velocity_readers():
+            self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
         if not self._logs:
             return
         controller = self._controller
         sequence = controller.steps - 1
-        if controller.inbox.senders is not self._senders:  # it has taken another slot
-            self._senders = controller.inbox.senders
-            self._tick = TickTemplate(self._senders)
-        self._send_tick(self._tick.encode(sequence, step.at, used_by(controller)))
-        if sequence % self._snapshot_every == 0:
+        if self._tick_readers():
+            if controller.inbox.senders is not self._senders:  # it has taken another slot
+                self._senders = controller.inbox.senders
+                self._tick = TickTemplate(self._senders)
+            self._send_tick(self._tick.encode(sequence, step.at, used_by(controller)))
+        if sequence % self._snapshot_every == 0 and self._snapshot_readers():
             self._snapshot = self._snapshot or SnapshotTemplate(controller)
             self._send_snapshot(self._snapshot.encode(sequence, controller))
 

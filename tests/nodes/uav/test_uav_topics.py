@@ -1,5 +1,6 @@
 """What a UAV hears: neighbours that are lost or send numbers that are none, and setpoints of a user's program."""
 
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,10 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import read_bag
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.uav_controller import UavFlight, step_time
+from ptnsbc_nodes.uav.uav_topics import Outbox
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
@@ -37,6 +42,43 @@ def odometry(place):
     found = np.zeros(13)
     found[:3], found[6] = place, 1.0
     return found
+
+
+class CountedEndpoints:
+    """What was sent on each topic, and a number of readers that the test sets."""
+
+    fleet = ""
+
+    def __init__(self):
+        self.sent, self.read = Counter(), Counter()
+
+    def publisher(self, topic, _readers):
+        return lambda _data: self.sent.update([topic.name])
+
+    def readers(self, topic):
+        return lambda: self.read[topic.name]
+
+
+def test_what_nobody_reads_is_not_sent_and_a_late_reader_gets_the_next(scenario):
+    """In real time a bridge reads the velocity, and a recorder the log."""
+    ends, edges = CountedEndpoints(), CommunicationGraph(scenario, FlightOptions())
+    flight = UavFlight(scenario, FOLLOWER, edges)
+    outbox = Outbox(ends, edges, flight)
+    optional = [
+        topics.velocity_setpoint(FOLLOWER),
+        topics.tick(FOLLOWER),
+        topics.snapshot(FOLLOWER),
+    ]
+    steps = scenario.timing.control_hz
+    for tick in range(2 * steps + 1):
+        if tick == steps:
+            ends.read.update(topic.name for topic in optional)
+        stamp_ns = tick * scenario.timing.dt_ns
+        flight.take_odometry(wire.Stamped(stamp_ns, body(FOLLOWER)))
+        at = step_time(stamp_ns, scenario.timing.dt_ns, None, 0)
+        outbox.send(flight.step(at, NO_CUTOFF_NS))
+    assert ends.sent[topics.wrench_setpoint(FOLLOWER).name] == 2 * steps + 1
+    assert [ends.sent[topic.name] for topic in optional] == [steps + 1, steps + 1, 2]
 
 
 @pytest.mark.slow
