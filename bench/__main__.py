@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -15,6 +14,7 @@ from typing import Any
 from bench.session import Machine, Plan, print_progress, sentences
 from bench.table import Row, markdown
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.files import replacing
 
 SECTIONS = ("step", "headless", "sweep", "peers", "startup", "fleets")
 
@@ -54,13 +54,8 @@ def _show(
     else:
         print(markdown(rows, sentences(facts)))
     if options.output is not None:
-        _write(options.output, markdown(rows, sentences(facts)))
-
-
-def _write(path: Path, text: str) -> None:
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text(text, encoding="utf-8")
-    os.replace(beside, path)
+        with replacing(options.output) as part:
+            part.write_text(markdown(rows, sentences(facts)), encoding="utf-8")
 
 
 def _parser() -> argparse.ArgumentParser:

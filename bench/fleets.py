@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,11 +14,16 @@ from bench.processes import BenchError, Observer, Sampler, Usage, bare_node
 from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, own_domain, print_progress, take_turns
 from bench.table import Row, Target
+from ptnsbc_io.wire import HeaderFields
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_nodes.runtime.node_process import ros_context, ros_node
+from ptnsbc_nodes.uav.uav_node import UavNode
+from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 
-_MISSED = Target(1.0)
+_MISSED, _STATUS, _RECORDER = Target(1.0), Target(3.0), Target(2.0)
 _LARGE_HZ, _IN_PROCESS = 50, 25
 _LARGE = {50: Target(0.5, at_least=True), 100: Target(0.2, at_least=True)}
 _PROCESS = {"uav": "one UAV", "sim": "the sim", "recorder": "the recorder"}
@@ -129,9 +135,35 @@ def _real_time(case: Case, plan: Plan) -> Iterator[Row]:
             values = [float(getattr(flown.usage[role], figure)) for flown in flights]
             bare = [float(getattr(usage, figure)) for usage in nodes]
             yield Row(f"{case.name}: {what} of {_PROCESS[role]}", values, unit, name, bare)
+    if case.size == 5:
+        share = [_status_percent(scenario, flown.usage["uav"].cores) for flown in flights]
+        yield Row(f"{case.name}: statuses in one UAV's CPU", share, "%", target=_STATUS)
     if case.bag:
+        recorder = [100.0 * flown.usage["recorder"].cores / case.size for flown in flights]
+        name = f"{case.name}: CPU of the recorder for a UAV"
+        yield Row(name, recorder, "% of a core", target=_RECORDER)
         lost = [flown.lost_percent for flown in flights]
         yield Row(f"{case.name}: odometry missing in the bag", lost, "%")
+
+
+def _status_percent(scenario: Scenario, cores: float) -> float:
+    """The part of the CPU time of a UAV process, which uses so many `cores`, in which it makes and sends its status."""
+    with (
+        own_domain() as domain,
+        Observer(domain),
+        ros_context([]),
+        ros_node("uav", "/uav3") as node,
+    ):
+        uav = UavNode(node, scenario, 3, CommunicationGraph(scenario, FlightOptions()))
+
+        def report() -> None:
+            time.sleep(0.02)  # the caches are cold then
+            uav.endpoints.last_word()
+
+        uav.flight.take_leg(HeaderFields(time.time_ns(), "form"))
+        report()  # the first one is logged
+        status_s = cpu_seconds(report, 50)
+    return 100.0 * STATUS_HZ * status_s / cores
 
 
 def _large(size: int, target: Target, plan: Plan) -> Iterator[Row]:

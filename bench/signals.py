@@ -44,11 +44,7 @@ _VICTIMS = {
     "real": ("uav1", "uav3", "sim", "recorder", "launcher"),
     "mavlink": ("uav1", "uav3", "bridge1", "bridge3", "recorder", "launcher"),
 }
-_MOMENTS_S = {
-    "lockstep": 4.0,
-    "real": 12.0,
-    "mavlink": 25.0,
-}  # after the start, the latest
+_MOMENTS_S = {"lockstep": 4.0, "real": 12.0, "mavlink": 25.0}  # after the start, the latest
 _ORDERS = ("kill", "stop", "pause")
 _FLIES = frozenset(step.value for step in FLYING)
 _COMES_DOWN = frozenset(step.value for step in (Step.LAND, Step.DISARM, Step.DONE))

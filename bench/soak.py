@@ -19,11 +19,7 @@ from typing import Any
 from bench.processes import Sampler
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
-from ptnsbc_core.nanoseconds import seconds
-from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.bag.repair import repair
-from ptnsbc_io.wire import peek_stamp
-from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import verdict_on
@@ -58,20 +54,8 @@ def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[
     return sorted(found, key=lambda one: float(one["at_s"]))
 
 
-def behind_s(bag: Bag, topic: str) -> float:
-    """The longest time [s] that a message of a topic waited for the recorder of a flight in real time."""
-    waits = (message.stamp_ns - peek_stamp(message.data) for message in bag.messages([topic]))
-    return seconds(max(waits, default=0))
-
-
 def soak(
-    uavs: int,
-    duration_s: float,
-    faults: int,
-    seed: int,
-    hz: int,
-    *,
-    lockstep: bool,
+    uavs: int, duration_s: float, faults: int, seed: int, hz: int, *, lockstep: bool
 ) -> dict[str, Any]:
     """Fly at `hz` control periods per second, and report."""
     scenario = grid(uavs, hz, duration_s)
@@ -97,8 +81,6 @@ def soak(
         if not (folder / "bag").exists():  # its recorder died: what it wrote is judged
             repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
-        bag = read_bag(folder / "bag")
-        waited_s = behind_s(bag, topics.odom(scenario.leader.id).name)
         verdict = verdict_on(recording)
     closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
     # A fast lock-step is over before that.
@@ -113,7 +95,6 @@ def soak(
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,
         "recorder_lost": flown.recorded.get("lost"),
-        "recorder_behind_s": round(waited_s, 3),
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",

@@ -243,10 +243,9 @@ class BagWriter:
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
         publish_ns = stamp_ns if publish_ns is None else publish_ns
         sequence = self._counts[number] if sequence is None else sequence
+        if self._limits.are_reached(self._file, stamp_ns):
+            self.split()
         with self._guard:
-            if self._limits.are_reached(self._file, stamp_ns):
-                self._finish_file(self._file)
-                self._file = self._next_file()
             self._file.add(number, stamp_ns, publish_ns, sequence, data)
             self._counts[number] += 1
             self._unflushed += 1

@@ -189,9 +189,10 @@ class Endpoints:
         """Topics of one publisher that have several, with the nodes that publish them; nothing tells which is ours."""
         rivals = []
         for subscription in self._subscriptions:
+            if subscription.get_publisher_count() < 2:
+                continue
             name = subscription.topic_name
-            shared = name.removeprefix(self.fleet) in self.shared
-            if shared or subscription.get_publisher_count() < 2:
+            if name.removeprefix(self.fleet) in self.shared:
                 continue
             nodes = sorted(
                 "an unknown node"  # as far as its participant has told it

@@ -129,12 +129,9 @@ class BagRecorder:
 
     def flush_regularly(self) -> None:
         """Write to the disk by wall time."""
-
-        def flush() -> None:
-            self._writer.flush_if_due(time.monotonic())
-
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(_FLUSH_CHECK_S, flush, clock=steady)
+        flush = self._writer.flush_if_due
+        self._node.create_timer(_FLUSH_CHECK_S, lambda: flush(time.monotonic()), clock=steady)
 
     def on_arrival(
         self, topic: Topic, derived: Sequence[tuple[str, Derive]] = ()
