@@ -152,12 +152,11 @@ class BagRecorder:
         """Record until it is over, then take in what is still in the queues, for so long at most."""
         slices = BoundedSpin(executor)
         self._after_each = slices.look
+        slice_s, behind = 0.0 if self.rest_s else _SLICE_S, False
         while not over():
-            if self.rest_s:  # messages come all at once, and do not wake the process one by one
+            if not behind:  # messages come all at once, and do not wake the process one by one
                 time.sleep(self.rest_s)
-                slices.serve(0.0, _SLICE_S)
-            else:
-                slices.serve(_SLICE_S)
+            behind = slices.serve(slice_s, _SLICE_S)
         slices.drain(lambda: self.received, _QUIET_S, drain_limit_s)
 
     def finish(self) -> None:

@@ -116,11 +116,12 @@ class BoundedSpin:
         self._over = Future()
         self._end = math.inf
 
-    def serve(self, seconds: float, longest_s: float = 0.0) -> None:
-        """Serve callbacks for a while, and what waits then until `longest_s`."""
+    def serve(self, seconds: float, longest_s: float = 0.0) -> bool:
+        """Serve callbacks for a while, and what waits then until `longest_s`; returns whether more may wait."""
         self._over, self._end = Future(), time.monotonic() + max(seconds, longest_s)
         self._executor.spin_until_future_complete(self._over, timeout_sec=seconds)
         self._end = math.inf  # a later word of this call would end another one
+        return self._over.done()
 
     def look(self) -> None:
         """Callbacks call this: it ends a call whose time is over."""
