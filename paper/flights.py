@@ -77,8 +77,7 @@ class FlightCurves:
     def errors(self) -> Array:
         """Formation error (T, N) [m], as the verdict defines it."""
         recording = recording_of(self.flight)
-        found = formation_errors(recording, whole(recording))
-        return np.stack([found[uav] for uav in self.uavs], axis=1)
+        return formation_errors(recording, whole(recording)).T
 
     def errors_at(self, seconds: float) -> Array:
         """Formation error (N,) [m] at a time, whatever the deadline of the scenario is."""

@@ -105,12 +105,13 @@ def counters_of(diagnostics: Array, scenario: Scenario) -> Array:
         scenario: as flown.
     """
     every = status_every(scenario)
-    ticks = np.cumsum(diagnostics[:, :, [column for _, column in _COUNTED.values()]] > 0, axis=0)[
-        ::every
-    ]
-    values = np.zeros((*ticks.shape[:2], len(COUNTERS)))
+    first = np.maximum(np.arange(1 - every, len(diagnostics) + 1 - every, every), 0)  # new ticks
+    told = diagnostics[: (len(first) - 1) * every + 1]
+    active = told[:, :, [column for _, column in _COUNTED.values()]] > 0
+    ticks = np.add.reduceat(active, first, axis=0, dtype=np.int64).cumsum(axis=0)
+    worst = np.maximum.reduceat(told[:, :, columns.PRIORITY_VIOLATION], first, axis=0)
+    values = np.zeros((*worst.shape, len(COUNTERS)))
     times = np.round(ticks * seconds(scenario.timing.dt_ns), 3)
     values[:, :, [COUNTERS.index(name) for name in _COUNTED]] = times
-    worst = np.maximum.accumulate(diagnostics[:, :, columns.PRIORITY_VIOLATION])[::every]
-    values[:, :, COUNTERS.index("priority_violation_max")] = worst
+    values[:, :, COUNTERS.index("priority_violation_max")] = np.maximum.accumulate(worst)
     return values

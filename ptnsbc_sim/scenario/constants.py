@@ -192,8 +192,9 @@ def deceleration(scenario: Scenario, uav_id: int) -> float:
 def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     """Constants of the clearance of one UAV."""
     gains = scenario.gains.clearance
-    loops = loop_lag_s(scenario)
+    loops, braking = loop_lag_s(scenario), deceleration(scenario, uav_id)
     unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
+    unlike.pop(scenario.vehicle(uav_id))
     # In a second deadlock_s any two are a keep-out apart.
     number = 1 + scenario.uav_ids.index(uav_id)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
@@ -206,8 +207,8 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         timeout_s=float(gains.timeout_s),
         forget_s=float(gains.forget_s),
         approach=APPROACH_SPEEDS[gains.approach],
-        deceleration=deceleration(scenario, uav_id),
-        weakest=min(deceleration(scenario, uav) for uav in unlike.values()),
+        deceleration=braking,
+        weakest=min([braking, *(deceleration(scenario, uav) for uav in unlike.values())]),
         lag_s=float(1.0 / scenario.timing.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
@@ -246,6 +247,14 @@ def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     return RecoveryConfig(
         least_s=float(scenario.formation.recovery_s), speed=float(left), acceleration=float(half)
     )
+
+
+def recovery_configs(scenario: Scenario) -> dict[int, RecoveryConfig]:
+    """`recovery_config` of every UAV; those of like vehicles are one."""
+    vehicles = {uav.id: (plant_of(scenario.plant, uav), uav.max_speed_m_s) for uav in scenario.uavs}
+    unlike = {vehicle: uav for uav, vehicle in vehicles.items()}
+    configs = {vehicle: recovery_config(scenario, uav) for vehicle, uav in unlike.items()}
+    return {uav: configs[vehicle] for uav, vehicle in vehicles.items()}
 
 
 def _limits(scenario: Scenario, uav_id: int) -> tuple[float, float, Vector3]:

@@ -234,7 +234,7 @@ class Communication(Block):
 
     def weights_of(self, uav_id: int) -> Mapping[int, float]:
         """Weights of the parents of a UAV with several, ascending by id; empty where it has one."""
-        return dict(sorted((self.parents or {}).get(uav_id, {}).items()))
+        return dict(sorted(self.parents.get(uav_id, {}).items())) if self.parents else {}
 
     def parents_of(self, uav_id: int) -> tuple[int, ...]:
         """The parent or the several parents of a UAV, ascending; empty for the leader."""
@@ -374,6 +374,9 @@ class UavBlock(Block):
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:
     """The vehicle of one UAV, as the laws know it."""
+    of_body, of_motion = (uav.mass_kg, uav.inertia_kg_m2, uav.drag_1_s), uav.max_tilt_rad
+    if {*of_body, of_motion, uav.max_force_n, uav.max_torque_nm} == {None}:
+        return plant
     own = {"mass_kg": uav.mass_kg, "inertia_kg_m2": uav.inertia_kg_m2}
     limits = {"max_torque_nm": uav.max_torque_nm, "drag_1_s": uav.drag_1_s}
     tilts = {"max_thrust_n": uav.max_force_n, "max_tilt_rad": uav.max_tilt_rad}
@@ -446,7 +449,7 @@ class ScenarioFile(Block):
     @property
     def uav_ids(self) -> tuple[int, ...]:
         """Ids of all UAVs, in the order of the file."""
-        return tuple(uav.id for uav in self.uavs)
+        return tuple([uav.id for uav in self.uavs])  # a list is faster
 
     @property
     def followers(self) -> tuple[int, ...]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any
 
 from ptnsbc_sim.scenario import Scenario
@@ -11,7 +12,8 @@ from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
 from ptnsbc_sim.verdict import Recording, verdict_on
-from ptnsbc_sim.verdict.recording import counter_rise, recording_of
+from ptnsbc_sim.verdict.deadline import UavVerdict
+from ptnsbc_sim.verdict.recording import counter_rises, recording_of
 
 
 @dataclass(frozen=True)
@@ -78,43 +80,40 @@ def fly_draw(
     return rows_of(k, scenario, recording_of(flight), check), values, flight
 
 
-_OF_VERDICT = {
+_OF_VERDICT = {name: name for name in UNITS if name in UavVerdict.__dataclass_fields__} | {
     "cause": "reason",
     "largest_after_m": "max_error_after_m",
     "largest_after_all_m": "max_error_after_all_m",
 }
-"""Columns that have another name in the verdict."""
+"""Columns that are figures of the verdict, and their names there."""
+
+_figures_of = attrgetter(*_OF_VERDICT.values())
 
 
 def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = "") -> list[SweepRow]:
     """The rows of one flight; `check` is what the dry run before it said."""
     verdict = verdict_on(recording)
     efforts = {effort.uav: effort for effort in verdict.efforts}
-    span_ns = recording.start_ns, recording.end_ns
-    names, rows = {f"uav{uav}" for uav in scenario.uav_ids}, []
+    rises = counter_rises(recording, recording.start_ns, recording.end_ns)
+    names, rows, worst = {f"uav{uav}" for uav in scenario.uav_ids}, [], verdict.verdict
     for of in verdict.uavs:
         pairs = [p for p in verdict.separations if f"uav{of.uav}" in (p.first, p.second)]
         to_uavs = (p.distance_m for p in pairs if p.second in names)
         to_obstacles = (p.distance_m - p.keep_out_m for p in pairs if p.second not in names)
-        values: dict[str, Any] = {
-            field.name: getattr(of, _OF_VERDICT.get(field.name, field.name), None)
-            for field in fields(SweepRow)
+        values = dict(zip(_OF_VERDICT, _figures_of(of), strict=True))
+        values |= {
+            "draw": draw,
+            "flight_verdict": worst,
+            "deadline_s": float(of.deadline_s),
+            "gave_way_to": ",".join(of.gave_way_to),
+            "avoidance_s": rises[of.uav]["avoidance_active_s"],
+            "deadlock_s": rises[of.uav]["deadlock_s"],
+            "closest_uav_m": min(to_uavs, default=None),
+            "closest_obstacle_m": min(to_obstacles, default=None),
+            "inside_keep_out_s": sum((p.inside_s for p in pairs), 0.0),
+            "peak_force_n": efforts[of.uav].peak_force_n,
+            "energy_n2_s": efforts[of.uav].energy,
+            "check": check,
         }
-        rows.append(
-            replace(
-                SweepRow(**values),
-                draw=draw,
-                flight_verdict=verdict.verdict,
-                deadline_s=float(of.deadline_s),
-                gave_way_to=",".join(of.gave_way_to),
-                avoidance_s=counter_rise(recording, of.uav, "avoidance_active_s", *span_ns),
-                deadlock_s=counter_rise(recording, of.uav, "deadlock_s", *span_ns),
-                closest_uav_m=min(to_uavs, default=None),
-                closest_obstacle_m=min(to_obstacles, default=None),
-                inside_keep_out_s=sum((p.inside_s for p in pairs), 0.0),
-                peak_force_n=efforts[of.uav].peak_force_n,
-                energy_n2_s=efforts[of.uav].energy,
-                check=check,
-            )
-        )
+        rows.append(SweepRow(**values))
     return rows

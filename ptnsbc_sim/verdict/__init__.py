@@ -2,13 +2,12 @@
 
 from ptnsbc_sim.verdict.recording import Recording, VerdictError
 from ptnsbc_sim.verdict.separation import Separation
-from ptnsbc_sim.verdict.track import Series, Track
+from ptnsbc_sim.verdict.track import Track
 from ptnsbc_sim.verdict.verdict import Verdict, verdict_on
 
 __all__ = [
     "Recording",
     "Separation",
-    "Series",
     "Track",
     "Verdict",
     "VerdictError",

@@ -7,7 +7,7 @@ not in place at the deadline because it gave way, and came in within the promise
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from itertools import chain
@@ -20,8 +20,8 @@ from ptnsbc_sim.scenario.approach.deadline import shortest_from
 from ptnsbc_sim.scenario.approach.path import EpochPlaces
 from ptnsbc_sim.verdict.encounters import ancestors, gave_way
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
-from ptnsbc_sim.verdict.recording import Recording, seconds_since
-from ptnsbc_sim.verdict.track import Track
+from ptnsbc_sim.verdict.recording import Absence, Recording, counter_rises, seconds_since
+from ptnsbc_sim.verdict.track import Track, together
 
 LONGEST_GAP_S = 0.25
 """Longest silence [s] that is only counted. A longer one makes the verdict void."""
@@ -31,50 +31,62 @@ LOST_S = 2.0
 
 
 class Coverage(NamedTuple):
-    """The share of the judged time that the odometry of a UAV covers."""
+    """The record of a UAV in the judged time: how much of it there is, and what its counters say."""
 
     missing: int  # messages missing of those sent, or of one per control period
     longest_gap_s: float
     gap_at_s: float  # where the longest gap begins, after the epoch
+    broken_from_s: float | None  # the first odometry or wrench that is not finite, after the epoch
+    rises: Mapping[str, float]  # of its counters until the deadline
 
 
-def coverage(recording: Recording, uav: int) -> Coverage:
+def coverages(recording: Recording) -> dict[int, Coverage]:
     """Coverage of the time from the epoch to the end of the leg; both ends count as messages.
 
-    While the UAV does not belong to the formation it need not be heard.
+    While a UAV does not belong to the formation it need not be heard.
     """
-    track, start_ns, end_ns = recording.odometry[uav], recording.start_ns, recording.end_ns
-    longest_ns, at_ns, last_ns = -1, start_ns, start_ns
-    stamps = (block.t_ns for block in track.blocks(*track.span(start_ns, end_ns)))
-    for block in chain(stamps, [np.array([end_ns])]):
-        edges = np.concatenate(([last_ns], block))
-        gaps = edges[1:] - edges[:-1]
-        for absence in recording.members.absences[uav]:
-            gaps[(edges[1:] > absence.begin_ns) & (edges[:-1] < absence.end_ns)] = 0
-        longest = int(np.argmax(gaps))
-        if gaps[longest] > longest_ns:
-            longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
-        last_ns = int(edges[-1])
-    lost = missing(recording, uav, track)
-    return Coverage(lost, float(seconds(longest_ns)), float(seconds(at_ns - start_ns)))
+    covers: dict[int, Coverage] = {}
+    due_ns = recording.start_ns + nanoseconds(recording.scenario.gains.formation.deadline_s)
+    broken, rises = _broken_from_s(recording), counter_rises(recording, recording.start_ns, due_ns)
+    for uavs, track in together(recording.odometry):
+        away = {uav: recording.members.absences[uav] for uav in uavs}
+        gaps = {spans: _longest_gap(recording, track, spans) for spans in set(away.values())}
+        lost = missing(recording, uavs, track)
+        for uav in uavs:
+            covers[uav] = Coverage(lost[uav], *gaps[away[uav]], broken.get(uav), rises[uav])
+    return covers
 
 
-def missing(recording: Recording, uav: int, track: Track) -> int:
-    """Messages of a UAV that were sent and are not in `track`; real vehicles have rates of their own."""
-    sent = recording.sent.get(uav)
-    first_ns, last_ns = recording.start_ns, recording.end_ns
-    if sent is None:
-        # The total, not gap by gap: a late message and an early one after it are not a missing one.
-        expected = round((last_ns - first_ns) / recording.scenario.timing.dt_ns) + 1
-    else:
+def _longest_gap(
+    recording: Recording, track: Track, away: tuple[Absence, ...]
+) -> tuple[float, float]:
+    """The longest silence [s] in the judged time, but for absences, and where it begins after the epoch."""
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    stamps = track.t_ns[slice(*track.span(start_ns, end_ns))]
+    edges = np.concatenate(([start_ns], stamps, [end_ns]))
+    gaps = edges[1:] - edges[:-1]
+    for absence in away:
+        gaps[(edges[1:] > absence.begin_ns) & (edges[:-1] < absence.end_ns)] = 0
+    longest = int(gaps.argmax())
+    return float(seconds(gaps[longest])), float(seconds(edges[longest] - start_ns))
+
+
+def missing(recording: Recording, uavs: Iterable[int], track: Track) -> dict[int, int]:
+    """Messages of UAVs that were sent and are not in their `track`; real vehicles have rates of their own."""
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    # The total, not gap by gap: a late message and an early one after it are not a missing one.
+    expected = round((end_ns - start_ns) / recording.scenario.timing.dt_ns) + 1
+    begin, end = track.span(start_ns, end_ns)
+    lost = dict.fromkeys(uavs, max(expected - max(end - begin, 0), 0))
+    for uav in lost.keys() & recording.sent.keys():
+        sent = recording.sent[uav]
         # From the last count before the epoch to the first count after the end: exact at both.
-        first = max(sent.index(first_ns, "right") - 1, 0)
-        last = min(sent.index(last_ns, "left"), sent.size - 1)
-        before, after = sent.rows(first, first + 1), sent.rows(last, last + 1)
-        expected = round(float(after.values[0, 0] - before.values[0, 0]))
-        first_ns, last_ns = before.last_ns + 1, after.last_ns
-    begin, end = track.span(first_ns, last_ns)
-    return max(expected - max(end - begin, 0), 0)
+        first = max(sent.index(start_ns, "right") - 1, 0)
+        last = min(sent.index(end_ns, "left"), sent.size - 1)
+        begin, end = track.span(int(sent.t_ns[first]) + 1, int(sent.t_ns[last]))
+        expected = round(float(sent.values[last, 0] - sent.values[first, 0]))
+        lost[uav] = max(expected - max(end - begin, 0), 0)
+    return lost
 
 
 def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -> str:
@@ -103,17 +115,19 @@ def silent_from_s(recording: Recording, uav: int) -> float | None:
     return float(seconds(counters.last_ns - recording.start_ns))
 
 
-def first_bad_s(recording: Recording, track: Track | None) -> float | None:
-    """Time after the epoch of the first sample that is not finite; None when all are finite."""
-    if track is None:
-        return None
-    for block in track.blocks(*track.span(recording.start_ns, recording.end_ns)):
-        if np.isfinite(np.sum(block.values)):
-            continue  # a sum of finite numbers may be infinite, one with NaN or inf is never finite
-        bad = np.flatnonzero(~np.isfinite(block.values).all(axis=1))
-        if bad.size:
-            return float(seconds(block.t_ns[bad[0]] - recording.start_ns))
-    return None
+def _broken_from_s(recording: Recording) -> dict[int, float]:
+    """The time after the epoch of the first odometry or wrench that is not finite, of the UAVs that have such a one."""
+    broken: dict[int, float] = {}
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    for uavs, track in chain(together(recording.odometry), together(recording.wrench)):
+        for block in track.blocks(*track.span(start_ns, end_ns)):
+            if np.isfinite(np.sum(block.values)):
+                continue  # a sum of finite numbers may be infinite, one with NaN or inf is never finite
+            finite = np.asarray(np.isfinite(block.values).all(axis=2))
+            for row in np.flatnonzero(~finite.all(axis=0)).tolist():
+                at_s = float(seconds(int(block.t_ns[finite[:, row].argmin()]) - start_ns))
+                broken[uavs[row]] = min(broken.get(uavs[row], at_s), at_s)
+    return broken
 
 
 MET, MET_LATE, MISSED, VIOLATED, VOID = "met", "met late", "missed", "violated", "void"
@@ -267,8 +281,8 @@ def judge(figures: ErrorFigures, covers: Mapping[int, Coverage], intrusion: str 
         excused_outside_s=figures.excused_outside_s,
         regained_s=None if regain is None else regain.took_s,
         recovery_s=None if regain is None else regain.promised_s,
-        saturated_s=figures.rise("saturated_s", 0.0, figures.deadline_s),
-        holding_s=figures.rise("holding_s", 0.0, figures.deadline_s),
+        saturated_s=covers[uav].rises["saturated_s"],
+        holding_s=covers[uav].rises["holding_s"],
         missing=covers[uav].missing,
         longest_gap_s=covers[uav].longest_gap_s,
         membership=membership,
@@ -280,11 +294,9 @@ def judge(figures: ErrorFigures, covers: Mapping[int, Coverage], intrusion: str 
 def _reasons(figures: ErrorFigures, covers: Mapping[int, Coverage]) -> list[Reason]:
     """Why the deadline was not met; empty when it was, whatever the UAV came near to."""
     recording, uav = figures.recording, figures.uav
-    tracks = recording.odometry[uav], recording.wrench.get(uav)
-    bad = [t_s for track in tracks if (t_s := first_bad_s(recording, track)) is not None]
-    if bad:
+    if (broken_s := covers[uav].broken_from_s) is not None:
         # Comparisons with NaN are false: the error would seem never to leave the band.
-        return [Cause.STATE_NOT_FINITE.because(t_s=min(bad))]
+        return [Cause.STATE_NOT_FINITE.because(t_s=broken_s)]
     if figures.not_finite_s is not None:  # the leader's odometry is not
         return [Cause.ERROR_NOT_FINITE.because(t_s=figures.not_finite_s)]
     if recording.members.lost(uav):
@@ -367,7 +379,7 @@ def _too_short(figures: ErrorFigures) -> Reason | None:
         return None
     at = recording.at(np.array([start_ns]))
     begin_s = float(seconds_since(at.stamps, recording.first_ns)[0])
-    places = {other: at.positions[other][0] for other in there}
+    places = {u: at.positions[:, k, 0] for k, u in enumerate(flown.uav_ids) if u in there}
     starts = EpochPlaces(places, {other: other for other in there}, begin_s)
     shortest = shortest_from(flown, starts, uav)
     if shortest is None or shortest <= figures.deadline_s:
@@ -413,14 +425,15 @@ def _before(figures: ErrorFigures) -> list[Reason]:
         if (t_s := silent_from_s(recording, other)) is not None
     ]
     excusable = scenario.lossy or scenario.formation.reconfigures
+    begin_ns, end_ns = (recording.start_ns + nanoseconds(t_s) for t_s in span)
+    rises = counter_rises(recording, begin_ns, end_ns)[uav]
     for name, cause in (
         ("holding_s", Cause.HELD if excusable else Cause.HELD_WITHOUT_LOSS),
         ("deadlock_s", Cause.DEADLOCK),
         ("saturated_s", Cause.SATURATED),
     ):
-        rise = figures.rise(name, *span)
-        if rise > 0:
-            reasons.append(cause.because(s=rise))
+        if rises[name] > 0:
+            reasons.append(cause.because(s=rises[name]))
     return reasons
 
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,13 +28,13 @@ from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.approach.path import left_of_start
-from ptnsbc_sim.scenario.constants import clearance_config, recovery_config
+from ptnsbc_sim.scenario.constants import clearance_config, recovery_configs
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.recording import Recording, by_phase, seconds_since
 from ptnsbc_sim.verdict.separation import distances
-from ptnsbc_sim.verdict.track import Track, lengths
+from ptnsbc_sim.verdict.track import Track, lengths, together
 
 Window = tuple[int, int]  # [ns], inclusive
 
@@ -61,33 +62,34 @@ def recovery_s(scenario: Scenario, error_m: float) -> float:
     With `approach: task` there is no time base of the way back: three time constants and a second. Of unlike vehicles
     it is that of the slowest.
     """
-    return max(_recovery_of(scenario, uav)(error_m) for uav in scenario.uav_ids)
+    recovery = _recovery(scenario)
+    return max(recovery(uav, error_m) for uav in scenario.uav_ids)
 
 
-def _recovery_of(scenario: Scenario, uav: int) -> Callable[[float], float]:
-    """`recovery_s` of one UAV."""
+def _recovery(scenario: Scenario) -> Callable[[int, float], float]:
+    """`recovery_s` of a UAV by its id."""
     loop = gain_of(scenario.gains, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
     if scenario.formation.approach != "planned":
         constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
-        return lambda _: constant
-    config = recovery_config(scenario, uav)
-    return lambda error_m: recovery_duration(error_m, config) + min(settling, _SLOWEST_RECOVERY_S)
+        return lambda *_: constant
+    configs, rest_s = recovery_configs(scenario), min(settling, _SLOWEST_RECOVERY_S)
+    return lambda uav, error_m: _duration(error_m, configs[uav]) + rest_s
 
 
-def rising(counters: Track, name: str) -> list[Window]:
-    """Spans in which a counter of a UAV rises, one of `COUNTERS`."""
-    column = COUNTERS.index(name)
-    found: list[Window] = []
-    last_ns, last = np.empty(0, np.int64), np.empty(0)
-    for block in counters.blocks():
-        stamps = np.concatenate((last_ns, block.t_ns))
-        active = np.concatenate((last, block.values[:, column]))
-        rises = np.flatnonzero(active[1:] > active[:-1])
-        found = merged([*found, *((int(stamps[k]), int(stamps[k + 1])) for k in rises)])
-        last_ns, last = stamps[-1:], active[-1:]
-    return found
+_duration = lru_cache(maxsize=1024)(recovery_duration)  # a window counts for all below its UAV
+
+
+def rising(counters: Mapping[int, Track], name: str) -> dict[int, list[Window]]:
+    """Spans in which a counter of each UAV rises, one of `COUNTERS`."""
+    spans: dict[int, list[Window]] = {uav: [] for uav in counters}
+    for uavs, track in together(counters):
+        active = track.values[..., COUNTERS.index(name)]
+        rows, ticks = np.nonzero((active[1:] > active[:-1]).T)
+        for row, tick in zip(rows.tolist(), ticks.tolist(), strict=True):
+            spans[uavs[row]].append((int(track.t_ns[tick]), int(track.t_ns[tick + 1])))
+    return {uav: merged(windows) for uav, windows in spans.items()}
 
 
 def merged(windows: Iterable[Window]) -> list[Window]:
@@ -114,7 +116,7 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
 def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     """Encounters of every UAV, recovery included."""
     scenario, absences = recording.flown, recording.members.absences
-    own = {uav: rising(track, _ACTIVE) for uav, track in recording.counters.items()}
+    own = rising(recording.counters, _ACTIVE)
     away = {
         uav: [(span.begin_ns, min(span.end_ns, recording.end_ns)) for span in spans]
         for uav, spans in absences.items()
@@ -123,18 +125,20 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
         for uav in concerned:
             own.setdefault(uav, []).append(window)
     windows = [window for of_uav in (*own.values(), *away.values()) for window in of_uav]
-    ends = np.unique([end for _, end in windows]).astype(np.int64)
-    if not ends.size:
+    ends = sorted({end for _, end in windows})
+    if not ends:
         return {uav: [] for uav in scenario.uav_ids}
-    place = {end: k for k, end in enumerate(ends.tolist())}
-    off = _to_regain(recording, ends)
-    lasts_s = {uav: _recovery_of(scenario, uav) for uav in scenario.uav_ids}
+    off = {
+        uav: dict(zip(ends, of, strict=True))
+        for uav, of in zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True)
+    }
+    recovery = _recovery(scenario)
     cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
 
     def encounter(window: Window, uavs: Iterable[int]) -> Encounter:
         """A window, and the way back of the slowest of these UAVs."""
         begin, end = window
-        back_s = max(lasts_s[uav](float(off[uav][place[end]])) for uav in uavs)
+        back_s = max(recovery(uav, off[uav][end]) for uav in uavs)
         return Encounter(begin, end, end + nanoseconds(back_s))
 
     result = {}
@@ -172,8 +176,8 @@ def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
                 yield (span.begin_ns, span.noticed_ns), recording.scenario.uav_ids
 
 
-def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:
-    """The distance that every UAV has to regain (E,) [m] at the ends of encounters (E,) [ns], 0 where nothing is known.
+def _to_regain(recording: Recording, ends: Sequence[int]) -> Array:
+    """The distances that N UAVs have to regain (N, E) [m] at the ends of E encounters [ns], 0 where unknown.
 
     It is the deviation from the plan, and what the velocity at which it grows adds until the loop has stopped it. Until
     the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
@@ -181,20 +185,22 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     scenario, start_ns = recording.flown, recording.start_ns
     gain = gain_of(scenario.gains, scenario.gains.formation)  # as flown
     slowing_s, duration_s = 1.0 / max(gain.scale * gain.kappa, 1e-9), plan_duration(gain)
-    looked = np.concatenate(([start_ns], ends, ends + _GROWTH_NS)).clip(start_ns, recording.end_ns)
-    stamps, which = np.unique(looked, return_inverse=True)
-    begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
+    looked = (start_ns, *ends, *(end + _GROWTH_NS for end in ends))
+    looked_ns = [min(max(t_ns, start_ns), recording.end_ns) for t_ns in looked]
+    stamps = np.array(sorted(set(looked_ns)), dtype=np.int64)
+    begin, *rows = stamps.searchsorted(looked_ns).tolist()
+    now, soon = rows[: len(ends)], rows[len(ends) :]
     block = recording.at(stamps)
-    turn, off = turn_of(scenario), {}
-    for uav, vectors in formation_vectors(recording, block).items():
-        if uav == scenario.leader.id:
-            vectors[block.times < gain.duration_s] = 0.0
-        else:
-            vectors = vectors - left_of_start(turn, block.times / duration_s, vectors[begin])
-        beside = lengths(vectors)
-        growing = np.maximum(beside[soon] - beside[now], 0.0) / seconds(_GROWTH_NS)
-        off[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
-    return off
+    vectors = formation_vectors(recording, block)
+    left = left_of_start(turn_of(scenario), block.times / duration_s, vectors[:, :, begin, None])
+    lead = scenario.uav_ids.index(scenario.leader.id)
+    left[:, lead] = 0.0
+    vectors -= left
+    vectors[:, lead, block.times < gain.duration_s] = 0.0
+    beside = lengths(vectors)
+    growing = np.maximum(beside[:, soon] - beside[:, now], 0.0) / seconds(_GROWTH_NS)
+    off = beside[:, now] + growing * slowing_s
+    return np.where(np.isfinite(off), off, 0.0)
 
 
 class GaveWay(NamedTuple):
@@ -228,14 +234,11 @@ def gave_way(recording: Recording, uav: int, encounter: Encounter, due_ns: int) 
     _, over_ns, back_ns = encounter
     begin_ns = max(encounter.begin_ns, due_ns - (back_ns - over_ns))
     scenario = [of for of in recording.phases if of.begin_ns <= over_ns][-1].scenario
+    active = rising(recording.counters, _ACTIVE)
     windows = {
-        one: [
-            (a, b)
-            for a, b in rising(recording.counters[one], _ACTIVE)
-            if a < over_ns and b > begin_ns
-        ]
+        one: [(a, b) for a, b in active[one] if a < over_ns and b > begin_ns]
         for one in ancestors(scenario, uav)
-        if one in recording.counters
+        if one in active
     }
     who = max(windows, key=lambda one: sum(b - a for a, b in windows[one]), default=uav)
     if not windows.get(who):
@@ -243,17 +246,18 @@ def gave_way(recording: Recording, uav: int, encounter: Encounter, due_ns: int) 
     clearance = clearance_config(scenario, who)
     braking = clearance.deceleration
     lost = braking * LATENCIES * clearance.lag_s
-    names: list[str] = []
+    name, names = f"uav{who}", list[str]()
     for begin, end in windows[who]:
         at = recording.at(np.arange(max(begin, begin_ns), min(end, over_ns) + 1, _STEP_NS))
         times = seconds_since(at.stamps, recording.first_ns)
         others, left = [], []
-        for first, second, keep_out_m, distance in distances(scenario, at.positions, times):
-            if f"uav{who}" in (first, second):
-                others.append(second if first == f"uav{who}" else first)
-                allowed = np.sqrt(lost**2 + 2.0 * braking * np.maximum(distance - keep_out_m, 0.0))
-                closing = -np.gradient(distance, times) if times.size > 1 else 0.0
-                left.append(allowed - lost - closing)
+        for first, seen, keep_outs, apart in distances(scenario, at.positions, times):
+            for second, keep_out_m, distance in zip(seen, keep_outs, apart, strict=True):
+                if name in (first, second):
+                    others.append(second if first == name else first)
+                    gap_m = np.maximum(distance - keep_out_m, 0.0)
+                    closing = -np.gradient(distance, times) if times.size > 1 else 0.0
+                    left.append(np.sqrt(lost**2 + 2.0 * braking * gap_m) - lost - closing)
         names += [others[k] for k in np.argmin(left, axis=0)]
     counts = Counter(names).most_common()
     return GaveWay(who, tuple(name for name, count in counts if count >= _SHARE * counts[0][1]))
@@ -271,9 +275,12 @@ def _joined(spans: Iterable[Encounter]) -> list[Encounter]:
     return result
 
 
-def inside(windows: Iterable[Encounter], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """The instants (T,) that lie in any of the encounters."""
-    mask = np.zeros(t_ns.shape, dtype=np.bool_)
-    for one in windows:
-        mask |= (t_ns >= one.begin_ns) & (t_ns <= one.back_ns)
+def inside(windows: Sequence[Sequence[Encounter]], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """The instants (T,), ascending, that lie in any of the encounters of each of N UAVs, as a mask (N, T)."""
+    mask = np.zeros((len(windows), t_ns.size), dtype=np.bool_)
+    spans = [(row, window) for row, of_uav in enumerate(windows) for window in of_uav]
+    begins = t_ns.searchsorted([window.begin_ns for _, window in spans]).tolist()
+    ends = t_ns.searchsorted([window.back_ns for _, window in spans], "right").tolist()
+    for (row, _), begin, end in zip(spans, begins, ends, strict=True):
+        mask[row, begin:end] = True
     return mask

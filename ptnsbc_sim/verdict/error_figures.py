@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,14 +12,13 @@ from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, is_cut_short
 from ptnsbc_sim.verdict.encounters import Encounter, inside
-from ptnsbc_sim.verdict.recording import Instants, Recording, counter_rise
+from ptnsbc_sim.verdict.recording import Instants, Recording
 from ptnsbc_sim.verdict.track import ValueAt, max_of
 
 SHARE_OF_START = 0.02
 """Share of the start error that widens the band of the settling time."""
 
 _EXACT_S = 1e-9
-_NONE = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,6 @@ class ChangeError:
     due_s: float  # the end of it
     error_m: float | None  # None: the leg ends before it
     excused: bool  # an encounter lasts over it
-
-
-def _entered(
-    before_s: float | None, times: Array, outside: NDArray[np.bool_], first: int = 0
-) -> float | None:
-    """The last time at which a curve entered its band, with the next samples (T,); None: it ends outside.
-
-    `before_s` is that of the samples before; before number `first` none is outside.
-    """
-    latest_first = outside[first:][::-1]
-    if latest_first.any():
-        after = times.size - int(latest_first.argmax())
-        return float(times[after]) if after < times.size else None
-    return float(times[0]) if before_s is None else before_s
 
 
 @dataclass
@@ -65,21 +51,21 @@ class Regain:
 
 
 class ErrorFigures:
-    """Figures of the formation error of one UAV, which arrives block by block; `windows` are its encounters."""
+    """Figures of the formation error of one UAV, which `add_errors` fills; `windows` are its encounters."""
 
     def __init__(
         self, recording: Recording, uav: int, windows: list[Encounter], tolerance: float
     ) -> None:
-        self.recording, self.uav = recording, uav
+        self.recording, self.uav, self.tolerance = recording, uav, tolerance
         deadline = recording.scenario.gains.formation.deadline_s
         self.deadline_s = deadline
-        self._windows = windows
+        self.windows = windows
         start_ns = recording.start_ns
-        spans = [(seconds(a - start_ns), seconds(b - start_ns)) for a, _, b in self._windows]
+        due_ns = start_ns + nanoseconds(deadline)
+        spans = [(seconds(a - start_ns), seconds(b - start_ns)) for a, _, b in windows]
         # Only encounters that begin after the deadline are left out of the settling time.
-        self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
-        self.tolerance = tolerance
-        over = ((w, b) for w, (a, b) in zip(self._windows, spans, strict=True) if a <= deadline < b)
+        self.later = [w for w, (a, _) in zip(windows, spans, strict=True) if a > deadline]
+        over = ((w, b) for w, (a, b) in zip(windows, spans, strict=True) if a <= deadline < b)
         # The encounter that lasts over the deadline, which then counts at its end.
         self.over_deadline: Encounter | None
         self.over_deadline, self.due_s = next(over, (None, deadline))
@@ -87,23 +73,25 @@ class ErrorFigures:
         self.arrived_s = deadline
         self.regains = [
             Regain(seconds(one.over_ns - start_ns), seconds(one.back_ns - one.over_ns))
-            for one, (_, back_s) in zip(self._windows, spans, strict=True)
+            for one, (_, back_s) in zip(windows, spans, strict=True)
             if back_s > deadline
         ]
-        self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
         # When the error entered the band for good, without later encounters; None: it ends outside.
         self.settling_s: float | None = 0.0
-        # After which time past the deadline it is in the band outside encounters; None: never.
+        # After which time past the deadline it is in the band outside encounters, where one lasts over it; None: never.
         self.regained_s: float | None = 0.0
-        self._changes = _changes_due(recording, self._windows)
-        due_ns = recording.start_ns + nanoseconds(deadline)
         self.absent_s = sum(
             seconds(max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0))
             for one in recording.members.absences[uav]
         )
-        self._last = _NONE  # time and error of the newest sample
-        self._squares = 0.0  # sum of the squared errors after the deadline
-        self._after = 0  # number of samples in that sum
+        self._changes = _changes_due(recording, windows)
+        self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
+        self.values = [self._at, *(at for _, at in self._changes)]
+        if self.over_deadline is not None:
+            self.values.append(self._at_due)
+        self.end_s = self.end_error = np.nan  # of the newest sample
+        self.squares = 0.0  # sum of the squared errors after the deadline
+        self.after = 0  # number of samples in that sum
         self.start_error = np.nan
         self.band = tolerance
         self.max_after: float | None = None
@@ -111,60 +99,6 @@ class ErrorFigures:
         self.encounter_s = 0.0
         self.excused_outside_s = 0.0  # after the deadline, inside encounters and outside the band
         self.not_finite_s: float | None = None
-
-    def add(self, block: Instants, error: Array) -> None:
-        """Take the next errors (T,) [m]."""
-        times = block.times
-        if not self._last.size:
-            self.start_error = float(error[0])
-            self.band = max(self.tolerance, SHARE_OF_START * self.start_error)
-        due = int(times.searchsorted(self.deadline_s - _EXACT_S))
-        outside = late = unexcused = np.asarray(error > self.band)
-        after = error[due:]
-        if self._windows:
-            near = inside(self._windows, block.stamps)
-            late, unexcused = outside & ~inside(self._later, block.stamps), outside & ~near
-            after = after[~near[due:]]
-            period = np.diff(times, prepend=self._last[:1])
-            fresh = times.size - period.size  # the first sample of all has no period
-            self.encounter_s += float(np.sum(period[near[fresh:]]))
-            excused = near & outside
-            excused[:due] = False
-            self.excused_outside_s += float(np.sum(period[excused[fresh:]]))
-        self.settling_s = _entered(self.settling_s, times, late)
-        self.regained_s = _entered(self.regained_s, times, unexcused, due)
-        if error[due:].size:
-            self.max_after_all = _larger(self.max_after_all, error[due:])
-        if after.size:
-            self.max_after = _larger(self.max_after, after)
-            self._squares += float(np.sum(after**2))
-            self._after += after.size
-        self._at.add(times, error)
-        self._at_due.add(times, error)
-        for _, at in self._changes:
-            at.add(times, error)
-        if self.over_deadline is not None:
-            late_s = times[due:][(times[due:] <= self.due_s) & (error[due:] > self.tolerance)]
-            self.arrived_s = float(late_s[-1]) if late_s.size else self.arrived_s
-        for one in self.regains:
-            span = (times >= one.over_s) & (times <= one.over_s + one.promised_s + _EXACT_S)
-            there = np.flatnonzero(outside & span)
-            if there.size:
-                one.outside_s = float(times[there[-1]])
-        finite = np.isfinite(error)
-        if self.not_finite_s is None and not finite.all():
-            self.not_finite_s = float(times[int(np.argmin(finite))])
-        self._last = np.array([times[-1], error[-1]])
-
-    def rise(self, name: str, begin_s: float, end_s: float) -> float:
-        """Rise of a counter of the UAV between two times after the epoch."""
-        begin_ns, end_ns = (self.recording.start_ns + nanoseconds(t) for t in (begin_s, end_s))
-        return counter_rise(self.recording, self.uav, name, begin_ns, end_ns)
-
-    @property
-    def end_s(self) -> float:
-        """Time of the last sample."""
-        return float(self._last[0])
 
     @property
     def left_again(self) -> bool:
@@ -190,7 +124,7 @@ class ErrorFigures:
     def at_deadline(self) -> float | None:
         """The error at the deadline [m]; None when the leg ends before it."""
         if self._at.value is None and self.max_after_all is not None:
-            return float(self._last[1])  # the last sample is at the deadline
+            return self.end_error  # the last sample is at the deadline
         return self._at.value
 
     @property
@@ -215,12 +149,80 @@ class ErrorFigures:
     @property
     def rmse_after(self) -> float | None:
         """Root mean square after the deadline, outside encounters."""
-        return float(np.sqrt(self._squares / self._after)) if self._after else None
+        return float(np.sqrt(self.squares / self.after)) if self.after else None
 
 
-def _larger(before: float | None, values: Array) -> float:
-    """The largest of the values (T,), and of those before; NaN when one of them is."""
-    return max_of(-np.inf if before is None else before, values.max())
+def add_errors(figures: Sequence[ErrorFigures], block: Instants, errors: Array) -> None:
+    """Take the next errors (N, T) [m] of the UAVs of these figures."""
+    times, stamps, begins = block.times, block.stamps, np.isnan(figures[0].end_s)
+    if begins:
+        for figure, start_error in zip(figures, errors[:, 0].tolist(), strict=True):
+            figure.start_error = start_error
+            figure.band = max(figure.tolerance, SHARE_OF_START * start_error)
+    due = int(times.searchsorted(figures[0].deadline_s - _EXACT_S))
+    outside = errors > np.array([[figure.band] for figure in figures])
+    near = inside([figure.windows for figure in figures], stamps)
+    late = outside & ~inside([figure.later for figure in figures], stamps)
+    excused = outside & near
+    excused[:, :due] = False
+    fresh = int(begins)  # the first sample of all has no period
+    edges = times if begins else np.concatenate(([figures[0].end_s], times))
+    period = edges[1:] - edges[:-1]
+    after = errors[:, due:]
+    squares, largest = after**2, after.max(axis=1, initial=-np.inf).tolist()
+    for row, figure in enumerate(figures):
+        figure.settling_s = _entered(figure.settling_s, times, late[row])
+        kept, square, most = after[row], squares[row], largest[row]
+        if kept.size:
+            figure.max_after_all = max_of(figure.max_after_all, most)
+        if figure.windows:
+            there = ~near[row, due:]
+            kept, square = kept[there], square[there]
+            most = kept.max(initial=-np.inf)
+            figure.encounter_s += float(period[near[row, fresh:]].sum())
+            figure.excused_outside_s += float(period[excused[row, fresh:]].sum())
+        if kept.size:
+            figure.max_after = max_of(figure.max_after, most)
+            figure.squares += float(square.sum())
+            figure.after += kept.size
+        for at in figure.values:
+            at.add(times, errors[row])
+        if figure.over_deadline is not None:
+            unexcused = outside[row] & ~near[row]
+            unexcused[:due] = False
+            figure.regained_s = _entered(figure.regained_s, times, unexcused)
+            end = times.searchsorted(figure.due_s, "right")
+            above = np.flatnonzero(errors[row, due:end] > figure.tolerance)
+            figure.arrived_s = float(times[due + above[-1]]) if above.size else figure.arrived_s
+        figure.end_s, figure.end_error = float(times[-1]), float(errors[row, -1])
+    _add_regains(figures, times, outside)
+    finite = np.isfinite(errors)
+    for figure, known in zip(() if finite.all() else figures, finite, strict=False):
+        if figure.not_finite_s is None and not known.all():
+            figure.not_finite_s = float(times[int(np.argmin(known))])
+
+
+def _entered(before_s: float | None, times: Array, outside: NDArray[np.bool_]) -> float | None:
+    """The last time at which a curve entered its band, with the next samples (T,); None: it ends outside.
+
+    `before_s` is that of the samples before.
+    """
+    from_end = int(outside[::-1].argmax())
+    if outside[-1 - from_end]:
+        return float(times[-from_end]) if from_end else None
+    return float(times[0]) if before_s is None else before_s
+
+
+def _add_regains(figures: Sequence[ErrorFigures], times: Array, outside: NDArray[np.bool_]) -> None:
+    """Take the next instants (T,) at which the UAVs are outside their bands (N, T)."""
+    regains = [(row, regain) for row, of in enumerate(figures) for regain in of.regains]
+    over_s = [regain.over_s for _, regain in regains]
+    until_s = [regain.over_s + regain.promised_s + _EXACT_S for _, regain in regains]
+    begins, ends = times.searchsorted(over_s), times.searchsorted(until_s, "right")
+    for (row, regain), begin, end in zip(regains, begins.tolist(), ends.tolist(), strict=True):
+        there = np.flatnonzero(outside[row, begin:end])
+        if there.size:
+            regain.outside_s = float(times[begin + there[-1]])
 
 
 def _changes_due(

@@ -3,55 +3,57 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from ptnsbc_core.curves.trajectory import curve_samples
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Array, Trajectory
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds_since
-from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of
+from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of, vectors_at
 
 
-def formation_errors(recording: Recording, block: Instants) -> dict[int, Array]:
-    """Formation error (T,) [m]: |(p_i - p_1) - o_i(t)|, for the leader |p_1 - p_r(t)|."""
-    return {uav: lengths(v) for uav, v in formation_vectors(recording, block).items()}
+def formation_errors(recording: Recording, block: Instants) -> Array:
+    """Formation error (N, T) [m]: |(p_i - p_1) - o_i(t)|, for the leader |p_1 - p_r(t)|."""
+    return lengths(formation_vectors(recording, block))
 
 
-def formation_vectors(recording: Recording, block: Instants) -> dict[int, Array]:
-    """Position (T, 3) [m], ENU, beside the place: (p_i - p_1) - o_i(t), for the leader p_1 - p_r(t).
+def formation_vectors(recording: Recording, block: Instants) -> Array:
+    """Position (3, N, T) [m], ENU, beside the place: (p_i - p_1) - o_i(t), for the leader p_1 - p_r(t).
 
     Where another UAV leads from its slot o_l, p_1 is p_l - o_l.
     """
     times = seconds_since(block.stamps, recording.first_ns)  # of the first leg
-    parts = []
+    vectors = np.empty_like(block.positions)
     for phase, span in by_phase(recording.phases, block.stamps):
-        scenario = phase.scenario
-        positions = {uav: place[span] for uav, place in block.positions.items()}
-        leader = _reference(scenario, positions[scenario.leader.id])
-        path = curve_samples(leader_trajectory(scenario), times[span])[:, :3]
-        moving, vectors = scenario.formation.moves, {}
-        for uav in scenario.uav_ids:
-            slot = scenario.offset(uav)
-            if uav == scenario.leader.id:
-                goal = path + slot if slot.any() else path
-            elif moving:
-                goal = leader + places_beside_leader(scenario, uav, times[span])
-            else:
-                goal = leader + slot
-            vectors[uav] = positions[uav] - goal
-        parts.append(vectors)
-    if len(parts) == 1:
-        return parts[0]
-    return {uav: np.concatenate([part[uav] for part in parts]) for uav in block.positions}
+        scenario, positions = phase.scenario, block.positions[..., span]
+        lead = scenario.uav_ids.index(scenario.leader.id)
+        places = np.array([scenario.offset(uav) for uav in scenario.uav_ids]).T[..., None]
+        numbers, table = leader_trajectory(scenario)
+        path = _path(numbers, table.shape, table.tobytes(), times[span].tobytes()) + places[:, lead]
+        if scenario.formation.moves:
+            moving = (places_beside_leader(scenario, uav, times[span]) for uav in scenario.uav_ids)
+            places = np.stack([place.T for place in moving], axis=1)
+        goals = _reference(scenario, positions)[:, None] + places
+        vectors[..., span] = positions - goals
+        vectors[:, lead, span] = positions[:, lead] - path
+    return vectors
 
 
-def _reference(scenario: Scenario, leader: Array) -> Array:
-    """The reference point of the formation (T, 3) [m], ENU: the position of the leader less its slot."""
-    slot = scenario.offset(scenario.leader.id)
-    return leader - slot if slot.any() else leader
+@lru_cache(maxsize=4)  # the flights of a sweep have one path
+def _path(numbers: tuple[float, ...], shape: tuple[int, ...], table: bytes, times: bytes) -> Array:
+    """Positions (3, T) [m], ENU, of a trajectory at times (T,) [s]."""
+    rows, at = (np.frombuffer(part).copy() if part else np.empty(0) for part in (table, times))
+    return curve_samples(Trajectory(numbers, rows.reshape(shape)), at)[:, :3].T.copy()
+
+
+def _reference(scenario: Scenario, positions: Array) -> Array:
+    """The reference point of the formation (3, T) [m], ENU: the position of the leader less its slot."""
+    lead = scenario.uav_ids.index(scenario.leader.id)
+    return np.asarray(positions[:, lead] - scenario.offset(scenario.leader.id)[:, None])
 
 
 @dataclass(frozen=True)
@@ -69,33 +71,31 @@ class EstimatorErrors:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._deadline_s = recording.scenario.gains.estimator.deadline_s
-        tracks = recording.estimate
-        self._tracks = {u: tracks[u] for u in recording.flown.followers if u in tracks}
-        self._at = {uav: ValueAt(self._deadline_s) for uav in self._tracks}
+        told = (uav for uav in recording.flown.followers if uav in recording.estimate)
+        self._at = {uav: ValueAt(self._deadline_s) for uav in told}
         self._max: dict[int, float] = {}
 
     def add(self, block: Instants) -> None:
         """Take the next instants."""
         stamps, absences = block.stamps, self._recording.members.absences
-        leaders = [
-            _reference(phase.scenario, block.positions[phase.scenario.leader.id][span])
-            for phase, span in by_phase(self._recording.phases, stamps)
-        ]
-        leader = leaders[0] if len(leaders) == 1 else np.concatenate(leaders)
-        silent = np.zeros(stamps.shape, dtype=np.bool_)
+        leader = np.empty((3, stamps.size))
+        for phase, span in by_phase(self._recording.phases, stamps):
+            leader[:, span] = _reference(phase.scenario, block.positions[..., span])
+        counts = block.times >= self._deadline_s
         for away in absences.values():  # somebody, not yet noticed: it may be the leader
-            for span in away:
-                silent |= (stamps >= span.begin_ns) & (stamps < span.noticed_ns)
-        for uav, track in self._tracks.items():
-            error = lengths(np.asfortranarray(track.at(stamps, 3)) - leader)
-            self._at[uav].add(block.times, error)
-            counts = (block.times >= self._deadline_s) & ~silent
-            for span in absences[uav]:
-                counts &= (stamps < span.begin_ns) | (stamps >= span.end_ns)
-            after = error[counts]
+            for absence in away:
+                counts &= (stamps < absence.begin_ns) | (stamps >= absence.noticed_ns)
+        estimates = vectors_at(self._recording.estimate, list(self._at), stamps)
+        errors = lengths(estimates - leader[:, None])
+        for (uav, at), error in zip(self._at.items(), errors, strict=True):
+            at.add(block.times, error)
+            there = counts
+            for absence in absences[uav]:
+                there = there & ((stamps < absence.begin_ns) | (stamps >= absence.end_ns))
+            after = error[there]
             if after.size:
-                self._max[uav] = max_of(self._max.get(uav, -np.inf), after.max())
+                self._max[uav] = max_of(self._max.get(uav), after.max())
 
     def results(self) -> list[EstimatorError]:
         """The errors of every follower."""
-        return [EstimatorError(u, self._at[u].value, self._max.get(u)) for u in self._tracks]
+        return [EstimatorError(uav, at.value, self._max.get(uav)) for uav, at in self._at.items()]

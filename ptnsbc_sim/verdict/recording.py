@@ -21,7 +21,7 @@ from ptnsbc_sim.scenario.mission.fault_rules import NEVER_NS
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 from ptnsbc_sim.scenario.slots import Formations, Membership, changed, with_slots
-from ptnsbc_sim.verdict.track import Series, Track
+from ptnsbc_sim.verdict.track import Together, Track, together, vectors_at
 
 if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight
@@ -91,19 +91,16 @@ def absences(
 
 def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
     stale_ns, dt_ns = nanoseconds(scenario.communication.stale_s), scenario.timing.dt_ns
-    spans, last = [], first_ns
 
     def silence(heard_ns: int, again_ns: int) -> Absence:
         return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
 
-    for block in track.blocks():
-        inside = (block.t_ns > last) & (block.t_ns <= last_ns)
-        stamps = np.concatenate(([last], block.t_ns[inside]))
-        for k in np.flatnonzero(np.diff(stamps) > stale_ns):
-            spans.append(silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns))
-        last = max(int(stamps[-1]), last)
-    if last_ns - last > stale_ns:
-        spans.append(silence(last, NEVER_NS))
+    told = track.t_ns[(track.t_ns > first_ns) & (track.t_ns <= last_ns)]
+    stamps = np.concatenate(([first_ns], told))
+    gaps = np.flatnonzero(np.diff(stamps) > stale_ns).tolist()
+    spans = [silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns) for k in gaps]
+    if last_ns - stamps[-1] > stale_ns:
+        spans.append(silence(int(stamps[-1]), NEVER_NS))
     return spans
 
 
@@ -167,7 +164,7 @@ class Members:
 
 def by_phase(phases: Sequence[Phase], stamps: NDArray[np.int64]) -> Iterator[tuple[Phase, slice]]:
     """The phases of instants (T,) [ns], ascending, and which instants are in each."""
-    cuts = np.searchsorted(stamps, [phase.begin_ns for phase in phases[1:]]).tolist()
+    cuts = stamps.searchsorted([phase.begin_ns for phase in phases[1:]]).tolist()
     for phase, (first, end) in zip(phases, pairwise([0, *cuts, len(stamps)]), strict=True):
         if first < end:
             yield phase, slice(first, end)
@@ -230,7 +227,7 @@ class Instants(NamedTuple):
 
     stamps: NDArray[np.int64]  # (T,) [ns]
     times: Array  # (T,) [s] after the epoch of the leg
-    positions: dict[int, Array]  # (T, 3) [m], ENU, of every UAV, axis by axis in memory
+    positions: Array  # (3, N, T) [m], ENU, of the UAVs in the order of the scenario
     until_ns: int  # the next judged instant [ns], or the last of these
 
 
@@ -333,9 +330,7 @@ class Recording:
     def at(self, stamps: NDArray[np.int64], until_ns: int | None = None) -> Instants:
         """Times and positions at instants (T,) [ns], ascending; `until_ns`: the next one."""
         source = self.truth if self.judged_by == "truth" else self.odometry
-        positions = {
-            uav: np.asfortranarray(source[uav].at(stamps, 3)) for uav in self.scenario.uav_ids
-        }
+        positions = vectors_at(source, self.scenario.uav_ids, stamps)
         until_ns = int(stamps[-1]) if until_ns is None else until_ns
         return Instants(stamps, seconds_since(stamps, self.start_ns), positions, until_ns)
 
@@ -351,9 +346,7 @@ class Recording:
         first, end = self.clock.span(begin_ns, last_ns)
         for block in self.clock.blocks(first, end):
             first += block.size
-            yield self.at(
-                block.t_ns, self.clock.rows(first, first + 1).first_ns if first < end else None
-            )
+            yield self.at(block.t_ns, int(self.clock.t_ns[first]) if first < end else None)
 
 
 def whole(recording: Recording) -> Instants:
@@ -361,18 +354,19 @@ def whole(recording: Recording) -> Instants:
     return recording.at(np.concatenate([block.stamps for block in recording.blocks()]))
 
 
-def counter_rise(recording: Recording, uav: int, name: str, start_ns: int, end_ns: int) -> float:
-    """Rise of a counter of a UAV between two instants; 0 where none is recorded."""
-    counters, column = recording.counters.get(uav), COUNTERS.index(name)
-    last = 0 if counters is None else counters.index(end_ns, "right")
-    if counters is None or not last:
-        return 0.0
-    first = counters.index(start_ns, "left") if start_ns > counters.first_ns else 0
-    at_end, at_start = (
-        float(counters.rows(end - 1, end).values[0, column]) if end else 0.0
-        for end in (last, first)
-    )
-    return max(at_end - at_start, 0.0)
+def counter_rises(recording: Recording, start_ns: int, end_ns: int) -> dict[int, dict[str, float]]:
+    """Rise of every counter, by its name, of every UAV between two instants; 0 where none is recorded."""
+    rises = dict.fromkeys(recording.scenario.uav_ids, dict.fromkeys(COUNTERS, 0.0))
+    for uavs, track in together(recording.counters):
+        last = track.index(end_ns, "right")
+        if last:
+            first = track.index(start_ns, "left") if start_ns > track.first_ns else 0
+            before = track.values[first - 1] if first else 0.0
+            values = np.maximum(track.values[last - 1] - before, 0.0).tolist()
+            rises |= {
+                u: dict(zip(COUNTERS, of, strict=True)) for u, of in zip(uavs, values, strict=True)
+            }
+    return rises
 
 
 def require_all_uavs(recording: Recording) -> None:
@@ -385,21 +379,21 @@ def require_all_uavs(recording: Recording) -> None:
 
 def recording_of(flight: HeadlessFlight) -> Recording:
     """The input of a verdict from a headless flight, without a bag."""
-    scenario, track, rows = flight.scenario, flight.track, list(enumerate(flight.scenario.uav_ids))
+    scenario, track, uavs = flight.scenario, flight.track, flight.scenario.uav_ids
     start_ns = int(flight.t_ns[0])
-    silent = gone(scenario)  # a UAV whose process is dead sends nothing
+    heard = ~gone(scenario)  # a UAV whose process is dead sends nothing
 
-    def all_of(values: Array) -> dict[int, Series]:
-        return {uav: Series(flight.t_ns, values[:, row]) for row, uav in rows}
+    def all_of(values: Array, every: int = 1) -> Together:
+        return Together(uavs, Track(flight.t_ns[::every], values))
 
-    def sent(values: Array, every: int = 1) -> dict[int, Series]:
+    def sent(values: Array, every: int = 1) -> Mapping[int, Track]:
         """Tracks of values (T / every, N, ...) without those of silent ticks."""
-        t_ns, missing = flight.t_ns[::every], silent[::every]
+        if heard.all():
+            return all_of(values, every)
+        t_ns, there = flight.t_ns[::every], heard[::every].T
         return {
-            uav: Series(t_ns[~missing[:, row]], values[~missing[:, row], row])
-            if missing[:, row].any()
-            else Series(t_ns, values[:, row])
-            for row, uav in rows
+            uav: Track(t_ns[ticks], values[ticks, row])
+            for row, (uav, ticks) in enumerate(zip(uavs, there, strict=True))
         }
 
     return Recording(

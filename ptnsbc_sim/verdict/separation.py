@@ -7,9 +7,8 @@ there is no slack for rounding, and none for errors of the positions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
 
 import numpy as np
 
@@ -38,34 +37,41 @@ class Separation:
 
 
 def distances(
-    scenario: Scenario, positions: Mapping[int, Array], times: Array
-) -> Iterator[tuple[str, str, float, Array]]:
-    """Names, keep-out [m] and distances (T,) [m] of every pair of UAVs, and of every UAV and obstacle.
+    scenario: Scenario, positions: Array, times: Array
+) -> Iterator[tuple[str, Sequence[str], Array, Array]]:
+    """Names of a UAV and K others, or all obstacles, keep-outs (K,) [m] and distances (K, T) [m]; every pair once.
 
-    `positions` are (T, 3) [m], `times` (T,) [s] after the first epoch.
+    `positions` are (3, N, T) [m], `times` (T,) [s] after the first epoch.
     """
-    for a, b in combinations(scenario.uav_ids, 2):
-        keep_out_m = scenario.keep_out_between(a, b)
-        yield f"uav{a}", f"uav{b}", keep_out_m, lengths(positions[a] - positions[b])
-    for uav, body in product(scenario.uav_ids, scenario.world.bodies):
-        yield f"uav{uav}", body.name, body.keep_out_m, body.distances(positions[uav], times)
+    ids, bodies = scenario.uav_ids, scenario.world.bodies
+    names = [f"uav{uav}" for uav in ids]
+    own = np.array([scenario.keep_out_m(uav) for uav in ids])
+    for row, name in enumerate(names[:-1]):
+        apart = lengths(positions[:, row, None] - positions[:, row + 1 :])
+        yield name, names[row + 1 :], 0.5 * (own[row] + own[row + 1 :]), apart
+    for row, name in enumerate(names if bodies else ()):
+        place = np.ascontiguousarray(positions[:, row].T)
+        apart = np.stack([body.distances(place, times) for body in bodies])
+        keep_outs = np.array([body.keep_out_m for body in bodies])
+        yield name, [body.name for body in bodies], keep_outs, apart
 
 
 def separations(recording: Recording, block: Instants) -> list[Separation]:
     """The closest approaches in a block of instants, each of which lasts until the next one."""
     times = seconds_since(block.stamps, recording.first_ns)
-    lasting = np.diff(times, append=seconds(block.until_ns - recording.first_ns))
+    until_s = seconds(block.until_ns - recording.first_ns)
     closest = []
-    for first, second, keep_out_m, distance in distances(
-        recording.scenario, block.positions, times
-    ):
-        k = int(np.argmin(distance))  # the first NaN, if there is one
-        if not np.isfinite(distance[k]):  # NaN is neither near nor far
-            distance = np.where(np.isfinite(distance), distance, np.inf)
-            k = int(np.argmin(distance))
-        inside_s = float(np.sum(lasting[distance < keep_out_m]))
-        about = float(distance[k]), float(times[k]), keep_out_m, inside_s
-        closest.append(Separation(first, second, *about))
+    for uav, others, keep_outs, apart in distances(recording.scenario, block.positions, times):
+        at = apart.argmin(axis=1)  # the first NaN, if there is one
+        if not np.isfinite(apart.min(axis=1)).all():  # NaN is neither near nor far
+            apart = np.where(np.isfinite(apart), apart, np.inf)
+            at = apart.argmin(axis=1)
+        least, at_s = apart.min(axis=1).tolist(), times[at].tolist()
+        for k, (other, keep_out_m) in enumerate(zip(others, keep_outs.tolist(), strict=True)):
+            inside_s = 0.0
+            if least[k] < keep_out_m:
+                inside_s = float(np.diff(times, append=until_s)[apart[k] < keep_out_m].sum())
+            closest.append(Separation(uav, other, least[k], at_s[k], keep_out_m, inside_s))
     return closest
 
 
@@ -73,9 +79,11 @@ def _room(pair: Separation) -> float:
     return pair.distance_m - pair.keep_out_m
 
 
-def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
+def joined(parts: Sequence[Sequence[Separation]]) -> list[Separation]:
     """The separations of several spans as those of one, the smallest margin first."""
     found: dict[tuple[str, str], Separation] = {}
+    if len(parts) == 1:
+        return sorted(parts[0], key=_room)
     for part in parts:
         for pair in part:
             key = pair.first, pair.second
@@ -87,10 +95,10 @@ def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
     return sorted(found.values(), key=_room)
 
 
-def intrusion(separations: Iterable[Separation], uav: int) -> str:
-    """The keep-outs that a UAV entered, the deepest in numbers; empty when it entered none."""
+def intrusion(entered: Iterable[Separation], uav: int) -> str:
+    """The keep-outs that a UAV entered, out of all that were, the deepest in numbers; empty when it entered none."""
     name = f"uav{uav}"
-    entered = [one for one in separations if one.entered and name in (one.first, one.second)]
+    entered = [pair for pair in entered if name in (pair.first, pair.second)]
     if not entered:
         return ""
     deepest = min(entered, key=_room)

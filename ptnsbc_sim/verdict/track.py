@@ -1,4 +1,4 @@
-"""Samples over time, in memory or on the disk, read block by block.
+"""Samples over time, in memory or in a file that is mapped, read block by block.
 
 A sum over more than one block is the sum of the blocks' sums. It is therefore the same whether the samples are
 in memory or on the disk.
@@ -6,8 +6,7 @@ in memory or on the disk.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -20,14 +19,14 @@ BLOCK = 8192
 
 
 def lengths(vectors: Array) -> Array:
-    """Euclidean lengths (T,) of vectors (T, 3): the bits of `numpy.linalg.norm` in a third of its time."""
-    x, y, z = vectors.T
+    """Euclidean lengths (...) of vectors (3, ...): the bits of `numpy.linalg.norm` in a third of its time."""
+    x, y, z = vectors
     return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float64)
 
 
-def max_of(first: float, second: float) -> float:
-    """The larger of two numbers, NaN when one of them is NaN."""
-    return float(np.maximum(first, second))
+def max_of(first: float | None, second: float) -> float:
+    """The larger of two numbers, NaN when one of them is NaN; the second where there is no first."""
+    return float(second if first is None else np.maximum(first, second))
 
 
 class ValueAt:
@@ -36,32 +35,42 @@ class ValueAt:
     def __init__(self, t_s: float) -> None:
         self.value: float | None = None
         self._t_s = t_s
-        self._last = (np.empty(0), np.empty(0))
+        self._last: tuple[float, float] | None = None
 
     def add(self, times: Array, values: Array) -> None:
         """Take the next samples (T,) [s] and (T,)."""
         if self.value is None and times[-1] >= self._t_s:
-            t, v = (np.concatenate(pair) for pair in zip(self._last, (times, values), strict=True))
-            self.value = float(np.interp(self._t_s, t, v))
-        self._last = times[-1:], values[-1:]
+            after = int(times.searchsorted(self._t_s))
+            t, value = float(times[after]), float(values[after])
+            before = self._last
+            if after:
+                before = float(times[after - 1]), float(values[after - 1])
+            if before is not None and t > self._t_s:
+                slope = (value - before[1]) / (t - before[0])
+                value = slope * (self._t_s - before[0]) + before[1]
+            self.value = value
+        self._last = float(times[-1]), float(values[-1])
 
 
-class Track(ABC):
-    """Samples of one quantity of one UAV, ascending in time; at least one."""
+class Track:
+    """Samples of one quantity of a UAV, or of several UAVs at the same stamps, ascending in time; at least one."""
 
-    size: int  # number of samples
-    first_ns: int  # stamp of the first sample
-    last_ns: int  # stamp of the last sample
+    def __init__(self, t_ns: NDArray[np.int64], values: Array) -> None:
+        self.t_ns = t_ns  # (T,) ascending
+        self.values = values  # (T, width), of several UAVs (T, N, width)
+        self.size: int = t_ns.size
+        if self.size:
+            self.first_ns, self.last_ns = int(t_ns[0]), int(t_ns[-1])
 
-    @abstractmethod
     def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
         """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
+        return int(self.t_ns.searchsorted(t_ns, side))
 
-    @abstractmethod
-    def rows(self, first: int, end: int) -> Series:
+    def rows(self, first: int, end: int) -> Track:
         """Samples number `first` to `end - 1`."""
+        return Track(self.t_ns[first:end], self.values[first:end])
 
-    def blocks(self, first: int = 0, end: int | None = None) -> Iterator[Series]:
+    def blocks(self, first: int = 0, end: int | None = None) -> Iterator[Track]:
         """Samples number `first` to `end - 1`, at most `BLOCK` at a time."""
         end = self.size if end is None else end
         for begin in range(first, end, BLOCK):
@@ -78,33 +87,56 @@ class Track(ABC):
         """
         first = max(self.index(int(t_ns[0]), "right") - 1, 0)
         end = max(min(self.index(int(t_ns[-1]), "left") + 1, self.size), first + 1)
-        near = self.rows(first, end)
-        values = near.values[:, :width]
-        if np.array_equal(near.t_ns, t_ns):
+        stamps, values = self.t_ns[first:end], self.values[first:end, ..., :width]
+        if stamps.size == t_ns.size and (stamps == t_ns).all():
             return values
-        here = near.t_ns.searchsorted(t_ns).clip(max=near.size - 1)
-        if np.array_equal(near.t_ns[here], t_ns):
+        here = np.minimum(stamps.searchsorted(t_ns), stamps.size - 1)
+        if (stamps[here] == t_ns).all():
             return values[here]
-        base = near.t_ns[0]  # wall-clock stamps do not fit a float64 to the nanosecond
-        own = (near.t_ns - base).astype(np.float64)
+        base = stamps[0]  # wall-clock stamps do not fit a float64 to the nanosecond
+        own = (stamps - base).astype(np.float64)
         wanted = (t_ns - base).astype(np.float64)
-        return np.stack([np.interp(wanted, own, column) for column in values.T], axis=1)
+        columns = values.reshape(len(values), -1).T
+        between = np.stack([np.interp(wanted, own, column) for column in columns], axis=1)
+        return between.reshape(-1, *values.shape[1:])
 
 
-class Series(Track):
-    """Samples in memory."""
+class Together(Mapping[int, Track]):
+    """The tracks of UAVs that sampled at the same stamps, which are reduced together."""
 
-    def __init__(self, t_ns: NDArray[np.int64], values: Array) -> None:
-        self.t_ns = t_ns  # (T,) ascending
-        self.values = values  # (T, width)
-        self.size = t_ns.size
-        if self.size:
-            self.first_ns, self.last_ns = int(t_ns[0]), int(t_ns[-1])
+    def __init__(self, uavs: Sequence[int], track: Track) -> None:
+        self.rows = {uav: row for row, uav in enumerate(uavs)}
+        self.track = track  # values (T, N, width)
 
-    def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
-        """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
-        return int(self.t_ns.searchsorted(t_ns, side))
+    def __getitem__(self, uav: int) -> Track:
+        return Track(self.track.t_ns, self.track.values[:, self.rows[uav]])
 
-    def rows(self, first: int, end: int) -> Series:
-        """Samples number `first` to `end - 1`."""
-        return Series(self.t_ns[first:end], self.values[first:end])
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def together(tracks: Mapping[int, Track]) -> Iterator[tuple[tuple[int, ...], Track]]:
+    """The UAVs that sampled at the same stamps, and their samples as one track with values (T, N, width)."""
+    if isinstance(tracks, Together):
+        yield tuple(tracks), tracks.track
+        return
+    for uav, track in tracks.items():
+        yield (uav,), Track(track.t_ns, track.values[:, None])
+
+
+def vectors_at(
+    tracks: Mapping[int, Track], uavs: Sequence[int], stamps: NDArray[np.int64]
+) -> Array:
+    """The first three columns of the tracks of UAVs at instants (T,) [ns], ascending: (3, N, T), axis by axis."""
+    vectors = np.empty((3, len(uavs), stamps.size))
+    if isinstance(tracks, Together):
+        shared, rows = tracks.track.at(stamps, 3), tracks.rows
+        values = [shared[:, rows[uav]] for uav in uavs]
+    else:
+        values = [tracks[uav].at(stamps, 3) for uav in uavs]
+    for row, of_uav in enumerate(values):
+        vectors[:, row] = of_uav.T
+    return vectors

@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
+from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
+from ptnsbc_sim.scenario.model import plant_of
 from ptnsbc_sim.verdict.deadline import (
     KEPT,
     MET,
@@ -25,24 +27,24 @@ from ptnsbc_sim.verdict.deadline import (
     VOID,
     WORST_FIRST,
     UavVerdict,
-    coverage,
+    coverages,
     judge,
     missing,
 )
 from ptnsbc_sim.verdict.encounters import encounters
-from ptnsbc_sim.verdict.error_figures import ErrorFigures
+from ptnsbc_sim.verdict.error_figures import ErrorFigures, add_errors
 from ptnsbc_sim.verdict.formation_error import EstimatorError, EstimatorErrors, formation_errors
 from ptnsbc_sim.verdict.recording import (
     FORMATION,
     Recording,
     VerdictError,
-    counter_rise,
+    counter_rises,
     require_all_uavs,
     seconds_since,
     tolerance_of,
 )
 from ptnsbc_sim.verdict.separation import Separation, intrusion, joined, separations
-from ptnsbc_sim.verdict.track import BLOCK, lengths, max_of
+from ptnsbc_sim.verdict.track import BLOCK, lengths, together
 
 
 @dataclass(frozen=True)
@@ -60,60 +62,60 @@ class Effort:
     missing: int  # wrench messages missing of one per odometry sent or per control period
 
 
-def effort(recording: Recording, uav: int) -> Effort | None:
-    """Input figures of one UAV; None when its wrench was not recorded in the judged time.
+def efforts(recording: Recording) -> dict[int, Effort]:
+    """Input figures of the UAVs whose wrench was recorded in the judged time.
 
     An input acts until the next one that is recorded: a missing message takes no time out of an integral.
     """
-    track = recording.wrench.get(uav)
-    if track is None:
-        return None
     scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
-    weight = scenario.vehicle(uav).mass_kg * scenario.world.gravity_m_s2
-    initial: tuple[float, float] | None = None  # |u| and force at the epoch
-    peak = peak_force = -np.inf
-    peak_at_s = energy = above_hover = 0.0
-    # The last input before the epoch acts at the epoch.
-    first, end = max(track.index(start_ns, "right") - 1, 0), track.index(end_ns, "right")
-    for begin in range(first, end, BLOCK):
-        last = min(begin + BLOCK, end)
-        block = track.rows(begin, last)
-        next_ns = track.rows(last, last + 1).first_ns if last < end else end_ns
-        values = np.asfortranarray(block.values)  # axis by axis in memory
-        force, torque = lengths(values[:, :3]), lengths(values[:, 3:])
-        edges = np.concatenate((block.t_ns, [next_ns])).clip(start_ns, end_ns)
-        lasting_s = seconds(edges[1:] - edges[:-1])
-        square = torque**2
-        energy += float(np.sum((force**2 + square) * lasting_s))
-        above_hover += float(np.sum(((force - weight) ** 2 + square) * lasting_s))
-        inside = block.index(start_ns, "left")
-        if inside == block.size:
-            continue
-        force, torque = force[inside:], torque[inside:]
-        whole = np.hypot(force, torque)
-        if initial is None:
-            initial = float(whole[0]), float(force[0])
-        peak_force = max_of(peak_force, force.max())
-        highest = int(np.argmax(whole))  # the first NaN, if there is one
-        if whole[highest] > peak or np.isnan(whole[highest]) > np.isnan(peak):
-            peak = float(whole[highest])
-            peak_at_s = float(seconds_since(block.t_ns[inside:], start_ns)[highest])
-    if initial is None:
-        return None
-    return Effort(
-        uav=uav,
-        initial_input=initial[0],
-        initial_above_hover_n=initial[1] - weight,
-        peak_input=peak,
-        peak_force_n=peak_force,
-        peak_at_s=peak_at_s,
-        energy=energy,
-        energy_above_hover=above_hover,
-        missing=missing(recording, uav, track),
-    )
+    masses = {uav.id: plant_of(scenario.plant, uav).mass_kg for uav in scenario.uavs}
+    found: dict[int, Effort] = {}
+    for uavs, track in together(recording.wrench):
+        weights = scenario.world.gravity_m_s2 * np.array([masses[uav] for uav in uavs])
+        initial: tuple[Array, Array] | None = None  # |u| and force at the epoch
+        peak = peak_force = np.full(len(uavs), -np.inf)
+        peak_at_s, energy, above_hover = np.zeros((3, len(uavs)))
+        # The last input before the epoch acts at the epoch.
+        first, end = max(track.index(start_ns, "right") - 1, 0), track.index(end_ns, "right")
+        for begin in range(first, end, BLOCK):
+            last = min(begin + BLOCK, end)
+            block = track.rows(begin, last)
+            next_ns = int(track.t_ns[last]) if last < end else end_ns
+            values = np.ascontiguousarray(block.values.T)  # (6, N, T), axis by axis in memory
+            force, torque = lengths(values[:3]), lengths(values[3:])
+            edges = np.concatenate((block.t_ns, [next_ns]))
+            edges[0] = max(edges[0], start_ns)
+            lasting_s = seconds(edges[1:] - edges[:-1])
+            square = torque**2
+            above_hover += (((force - weights[:, None]) ** 2 + square) * lasting_s).sum(axis=1)
+            square += force**2
+            energy += (square * lasting_s).sum(axis=1)
+            inside = block.index(start_ns, "left")
+            if inside == block.size:
+                continue
+            force, torque, square = force[:, inside:], torque[:, inside:], square[:, inside:]
+            if initial is None:
+                initial = np.hypot(force[:, 0], torque[:, 0]), force[:, 0]
+            peak_force = np.maximum(peak_force, force.max(axis=1))
+            low = square < _NEARLY * square.max(axis=1, keepdims=True)  # of a NaN nothing is low
+            whole = np.hypot(force, torque, out=np.full_like(force, -np.inf), where=~low)
+            highest = whole.argmax(axis=1)  # the first NaN, if there is one
+            most = whole.max(axis=1)
+            higher = (most > peak) | (np.isnan(most) > np.isnan(peak))
+            peak = np.where(higher, most, peak)
+            times = seconds_since(block.t_ns[inside:], start_ns)
+            peak_at_s = np.where(higher, times[highest], peak_at_s)
+        if initial is not None:
+            whole, force = initial
+            figures = (whole, force - weights, peak, peak_force, peak_at_s, energy, above_hover)
+            lost = missing(recording, uavs, track)
+            for uav, of in zip(uavs, np.array(figures).T.tolist(), strict=True):
+                found[uav] = Effort(uav, *(*of, lost[uav]))
+    return {uav: found[uav] for uav in scenario.uav_ids if uav in found}
 
 
 _EXACT_S = 1e-9
+_NEARLY = 1.0 - 1e-9  # of a square, below which its root cannot be the largest by rounding
 _VIOLATION = COUNTERS.index("priority_violation_max")
 
 
@@ -261,15 +263,12 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         parts.append(pairs)
     for start_ns, end_ns in legs_without_deadline(recording):
         blocks = recording.blocks(start_ns, end_ns)
-        parts.append(joined(separations(recording, block) for block in blocks))
-    efforts = [of for uav in scenario.uav_ids if (of := effort(recording, uav)) is not None]
+        parts.append(joined([separations(recording, block) for block in blocks]))
+    inputs = tuple(efforts(recording).values())
     closest = tuple(joined(parts))
     begin_ns, end_ns = recording.start_ns, recording.start_ns + nanoseconds(first.duration_s)
-    missed = (counter_rise(recording, uav, "missed_ticks", begin_ns, end_ns) for uav in counters)
-    violations = (
-        float(track.rows(track.size - 1, track.size).values[0, _VIOLATION])
-        for track in counters.values()
-    )
+    rises = counter_rises(recording, begin_ns, end_ns).values()
+    violations = (float(track.values[-1, ..., _VIOLATION].max()) for _, track in together(counters))
     return Verdict(
         scenario=scenario.name,
         plant=scenario.plant.kind,
@@ -280,12 +279,12 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         epoch_s=seconds(recording.start_ns),
         duration_s=first.duration_s,
         uavs=first.uavs,
-        efforts=tuple(efforts),
+        efforts=inputs,
         separations=closest,
         estimators=tuple(estimators.results()),
-        energy=sum(of.energy for of in efforts),
+        energy=sum(of.energy for of in inputs),
         inside_keep_out_s=sum(pair.inside_s for pair in closest),
-        missed_ticks=int(sum(missed)),
+        missed_ticks=int(sum(of["missed_ticks"] for of in rises)),
         priority_violation_m_s=max(violations, default=0.0),
         latency_ms=dict(recording.latency),
         legs=tuple(legs),
@@ -299,20 +298,19 @@ def _leg(
 ) -> tuple[LegVerdict, list[Separation]]:
     """The verdict on a leg, and its separations."""
     windows, uavs = encounters(recording), recording.scenario.uav_ids
-    figures = {uav: ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs}
-    covers = {uav: coverage(recording, uav) for uav in uavs}
-    parts, end_ns = [], recording.start_ns
+    figures = [ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs]
+    covers, parts, start_ns = coverages(recording), [], recording.start_ns
     for block in recording.blocks():
-        for uav, error in formation_errors(recording, block).items():
-            figures[uav].add(block, error)
+        add_errors(figures, block, formation_errors(recording, block))
         parts.append(separations(recording, block))
         if estimators is not None:
             estimators.add(block)
         end_ns = int(block.stamps[-1])
     pairs = joined(parts)
-    judged = tuple(judge(of, covers, intrusion(pairs, of.uav)) for of in figures.values())
-    duration_s = float(seconds(end_ns - recording.start_ns))
-    leg = LegVerdict(recording.leg + 1, seconds(recording.start_ns), duration_s, "", judged)
+    entered = [pair for pair in pairs if pair.entered]
+    judged = tuple([judge(of, covers, intrusion(entered, of.uav)) for of in figures])
+    duration_s = float(seconds(end_ns - start_ns))
+    leg = LegVerdict(recording.leg + 1, seconds(start_ns), duration_s, "", judged)
     return leg, pairs
 
 
@@ -406,10 +404,10 @@ def _errors(
         due_ns = recording.first_ns + nanoseconds(leg.due_s)
         if due_ns > recording.last_ns:
             return []
-        ground_m, places = leg.leg.ground_m, recording.at(np.array([due_ns])).positions
+        heights = recording.at(np.array([due_ns])).positions[2, :, 0] - leg.leg.ground_m
         return [
-            _Error(uav, max(float(place[0, 2]) - ground_m, 0.0), False)
-            for uav, place in places.items()
+            _Error(uav, max(height, 0.0), False)
+            for uav, height in zip(recording.scenario.uav_ids, heights.tolist(), strict=True)
         ]
     if is_cut_short(recording.scenario.legs, leg):
         return None

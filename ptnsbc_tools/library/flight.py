@@ -16,7 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import similar
-from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
+from ptnsbc_sim.verdict import Recording, Track, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, tolerance_of, whole
 from ptnsbc_tools import ros
@@ -117,8 +117,7 @@ class FlightArrays:
     @cached_property
     def position_m(self) -> Array:
         """Position (T, N, 3) [m], ENU; the true one where it is known."""
-        positions = self.instants.positions
-        return np.stack([positions[uav] for uav in self.uavs], axis=1)
+        return np.ascontiguousarray(self.instants.positions.T)
 
     quaternion = _columns("quaternion", "odometry", 3, 7)
     rate_rad_s = _columns("rate_rad_s", "odometry", 10, 13)
@@ -137,8 +136,7 @@ class FlightArrays:
     @cached_property
     def error_m(self) -> Array:
         """Formation error (T, N) [m]: distance from its place; of the leader, from its trajectory."""
-        errors = formation_errors(self.recording, self.instants)
-        return np.stack([errors[uav] for uav in self.uavs], axis=1)
+        return np.ascontiguousarray(formation_errors(self.recording, self.instants).T)
 
     def __getitem__(self, name: str) -> Array:
         """A quantity by its name, as in `flight["error_m"]`."""
@@ -224,7 +222,7 @@ class Flight(FlightArrays):
             status = StatusSeries(
                 {
                     uav: {
-                        key: Series(flown.t_ns, values[:, row, column : column + 1])
+                        key: Track(flown.t_ns, values[:, row, column : column + 1])
                         for key, column in columns.items()
                     }
                     for row, uav in enumerate(self.uavs)

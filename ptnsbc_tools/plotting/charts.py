@@ -259,7 +259,7 @@ class FlightView:
     def rising(self, uav: int, name: str) -> list[tuple[float, float]]:
         """Spans [s] in which a counter of a UAV rises, one of `COUNTERS`."""
         counters = self.recording.counters.get(uav)
-        windows = [] if counters is None else merged(rising(counters, name))
+        windows = [] if counters is None else rising({uav: counters}, name)[uav]
         return [self.seconds(window) for window in windows]
 
 
@@ -322,7 +322,10 @@ def _chart(key: str, title: str, unit: str, curves: Sequence[Curve], **more: Any
 
 def _leg_errors(flight: FlightView, leg: Recording) -> dict[int, Points]:
     """The error of every UAV over one leg; empty when the leg was not flown."""
-    blocks = ((flight.times(one.stamps), formation_errors(leg, one)) for one in leg.blocks())
+    blocks = (
+        (flight.times(one.stamps), dict(zip(flight.uavs, formation_errors(leg, one), strict=True)))
+        for one in leg.blocks()
+    )
     try:
         return thinned(leg.samples, blocks)
     except VerdictError:
@@ -483,13 +486,13 @@ def obstacles(flight: FlightView) -> Chart | None:
 
 def force(flight: FlightView) -> Chart | None:
     """The size of the commanded force."""
-    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, :3]))
+    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, :3].T))
     return _chart("force", "Input: force", "N", curves, limits=_force_limits(flight))
 
 
 def torque(flight: FlightView) -> Chart | None:
     """The size of the commanded torque."""
-    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, 3:]))
+    curves = _curves_of(flight, flight.recording.wrench, lambda rows: lengths(rows[:, 3:].T))
     return _chart("torque", "Input: torque", "N m", curves)
 
 

@@ -223,10 +223,10 @@ def draw_paths(
         label = f"UAV {uav}{leader}"
         axes.plot(*path[:, view].T, label=label, linewidth=1.0, **_style(look(index)))
     stamps = recording.start_ns + np.array([nanoseconds(t) for t in times])
-    places, later_s = (
-        recording.at(stamps).positions,
-        seconds(recording.start_ns - recording.first_ns),
+    places = dict(
+        zip(scenario.uav_ids, recording.at(stamps).positions.T.swapaxes(0, 1), strict=True)
     )
+    later_s = seconds(recording.start_ns - recording.first_ns)
     names = [
         (f"{t:.3g} s", place)
         for t, place in zip(times, places[scenario.leader.id][:, view], strict=True)
@@ -312,7 +312,8 @@ def _paths(recording: Recording) -> dict[int, Array]:
     legs = [leg for k in numbers if (leg := replace(recording, leg=k)).samples > 1]
     every = max(sum(leg.samples for leg in legs) // _PATH_POINTS, 1)
     parts = [leg.at(block.stamps[::every]).positions for leg in legs for block in leg.blocks()]
-    return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
+    places = np.concatenate(parts, axis=2).T  # (T, N, 3)
+    return {uav: places[:, row] for row, uav in enumerate(recording.scenario.uav_ids)}
 
 
 def draw_flight(flight: FlightView, path: Path) -> Path:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_sim.verdict.track import Series, Track
+from ptnsbc_sim.verdict.track import Track
 
 _ROWS = 1024  # of one piece of a track
 _NEVER = -(2**63)
@@ -93,13 +93,13 @@ class TrackWriter:
         self._flush()
         stamps, values = self._column("stamp_ns"), self._column("values")
         if self._in_order:
-            return Series(stamps, values)
+            return Track(stamps, values)
         # When all stamps are zero the sender left the header empty; log times take their place.
         key = stamps if stamps.any() else self._column("log_ns")
         _, last = np.unique(key[::-1], return_index=True)
         order = key.size - 1 - last
         parts = [order[first : first + _ROWS] for first in range(0, order.size, _ROWS)]
-        return Series(*(self._file.joined(of[part] for part in parts) for of in (key, values)))
+        return Track(*(self._file.joined(of[part] for part in parts) for of in (key, values)))
 
     def _flush(self) -> None:
         self._pieces.append((self._file.append(self._buffer), len(self._buffer)))

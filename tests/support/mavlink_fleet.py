@@ -396,15 +396,15 @@ class MavlinkFleet:
 
     def recording(self):
         """The flight as the recording of which a verdict is computed."""
-        from ptnsbc_sim.verdict import Recording, Series
+        from ptnsbc_sim.verdict import Recording, Track
 
         def series(pairs):
-            return Series(np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))
+            return Track(np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))
 
         return Recording(
             scenario=self.scenario,
             odometry={
-                i: Series(np.array(u.stamps), np.array(u.odometry)) for i, u in self.uavs.items()
+                i: Track(np.array(u.stamps), np.array(u.odometry)) for i, u in self.uavs.items()
             },
             wrench={i: series(u.wrenches) for i, u in self.uavs.items()},
             # By them a verdict tells where UAVs come and go who was silent.

@@ -13,7 +13,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_sim.verdict import Recording, Series, Verdict
+from ptnsbc_sim.verdict import Recording, Track, Verdict
 
 Errors = Callable[[Array], Array]
 HZ = 100
@@ -21,13 +21,13 @@ HZ = 100
 
 def counters(
     seconds: float, active: Callable[[Array], Array] = np.zeros_like, **values: Any
-) -> Series:
+) -> Track:
     """Counters at 5 Hz; `active` gives avoidance_active_s over time."""
     t = np.arange(0.0, seconds, 0.2)
     columns = {name: np.zeros(t.size) for name in COUNTERS} | {"avoidance_active_s": active(t)}
     columns |= {name: np.full(t.size, value) for name, value in values.items()}
     rows = np.stack([columns[name] for name in COUNTERS], axis=1)
-    return Series(np.round(t * 1e9).astype(np.int64), rows)
+    return Track(np.round(t * 1e9).astype(np.int64), rows)
 
 
 def flight(
@@ -52,10 +52,10 @@ def flight(
         vectors[:, 0] += leader_error
         if uav != scenario.leader.id:
             vectors[:, 0] += (errors or {}).get(uav, np.zeros_like)(t)
-        odometry[uav] = Series(t_ns, vectors)
+        odometry[uav] = Track(t_ns, vectors)
         forces = np.zeros((t.size, 6))
         forces[:, 2] = scenario.plant.mass_kg * scenario.world.gravity_m_s2
-        wrench[uav] = Series(t_ns, forces)
+        wrench[uav] = Track(t_ns, forces)
     made = Recording(
         scenario,
         odometry,
@@ -67,9 +67,9 @@ def flight(
     return replace(made, **changes)
 
 
-def thinned(series: Series, *ticks: int) -> Series:
+def thinned(series: Track, *ticks: int) -> Track:
     """A series without the messages of some ticks."""
-    return Series(np.delete(series.t_ns, ticks), np.delete(series.values, ticks, axis=0))
+    return Track(np.delete(series.t_ns, ticks), np.delete(series.values, ticks, axis=0))
 
 
 def decay(start: float, rate: float) -> Errors:

@@ -23,7 +23,7 @@ from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.constants import PlannerLimits
-from ptnsbc_sim.verdict import Recording, Series
+from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.world import World
 from ptnsbc_tools import console
 
@@ -35,7 +35,7 @@ def no_lines_about_slowness(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def without() -> Callable[..., Series]:
+def without() -> Callable[..., Track]:
     return thinned
 
 
@@ -45,7 +45,7 @@ def fly() -> Callable[..., Recording]:
 
 
 @pytest.fixture
-def count() -> Callable[..., Series]:
+def count() -> Callable[..., Track]:
     return counters
 
 

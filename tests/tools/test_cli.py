@@ -16,7 +16,7 @@ from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
-from ptnsbc_sim.verdict import Recording, Series
+from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_tools.cli import app, functions
 from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
@@ -264,7 +264,7 @@ def test_a_bag_of_nan_is_missed(fly: Fly, tmp_path: Path) -> None:
     assert "UAV 3 missed: state not finite from t = 5.50 s" in out
 
 
-def test_a_bag_with_holes_says_so(fly: Fly, without: Callable[..., Series], tmp_path: Path) -> None:
+def test_a_bag_with_holes_says_so(fly: Fly, without: Callable[..., Track], tmp_path: Path) -> None:
     recording = fly(seconds=7.0)
     whole = recording.odometry[3]
     cut = replace(recording, odometry={**recording.odometry, 3: without(whole, 10, 600)})

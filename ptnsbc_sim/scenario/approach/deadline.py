@@ -202,11 +202,10 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
 
 def planned_pairs(file: ScenarioFile) -> Pairs:
     """All pairs of UAVs with their own places, from the starts of the file."""
-    offsets = _offsets_at(file, 0.0)
     starts = np.array([uav.position_m for uav in file.uavs])
     lead = file.uav_ids.index(file.leader.id)
     keep_outs = [file.keep_out_m(uav) for uav in file.uav_ids]
-    places = np.array([offsets[uav.id] for uav in file.uavs])
+    places = np.stack(list(_offsets_at(file, 0.0).values()))
     margin_m = float(file.gains.clearance.margin_m)
     return pairs_of(starts - starts[lead], places, np.array(keep_outs), margin_m)
 

@@ -68,13 +68,13 @@ def rise(s: Array) -> Array:
 
 
 def left_of_start(turn: float, s: Array, error: Array) -> Array:
-    """The rest (..., 3) [m] of a start error (3,) [m] at s = t / T (...) of a planned approach."""
+    """The rest (3, ...) [m] of a start error (3, ...) [m] at s = t / T (...) of a planned approach."""
     if turn == 0.0:
-        return np.asarray((1.0 - rise(s))[..., None] * error)
+        return np.asarray((1.0 - rise(s)) * error)
     factors = np.array([left_at(turn, one) for one in s.ravel().tolist()])
     along, across, up = factors.T.reshape(3, *s.shape)
     x, y, z = error
-    return np.stack([along * x - across * y, across * x + along * y, up * z], axis=-1)
+    return np.stack([along * x - across * y, across * x + along * y, up * z])
 
 
 class Pairs(NamedTuple):
@@ -99,9 +99,9 @@ def distances(pairs: Pairs, turn: float) -> Array:
     ends = pairs.places[:, 0] + 1j * pairs.places[:, 1]
     errors = pairs.errors[:, 0] + 1j * pairs.errors[:, 1]
     factors = _left(turn, _SAMPLES)[:, None]
-    up = pairs.places[:, 2] - np.abs(factors) * pairs.errors[:, 2]
-    apart: Array = np.hypot(np.abs(ends - factors * errors), up)
-    return apart.min(axis=0)
+    across, up = ends - factors * errors, pairs.places[:, 2] - np.abs(factors) * pairs.errors[:, 2]
+    squares = across.real**2 + across.imag**2 + up**2
+    return np.asarray(np.sqrt(squares.min(axis=0)))
 
 
 def candidates(pairs: Pairs) -> tuple[float, ...]:
@@ -182,7 +182,7 @@ def planned_paths(
     if file.formation.moves and not starts.begin_s:
         place = place[:1, :1] + rise(s)[..., None] * (place - place[:1, :1])
     error = starts.positions_m[lead] + place[0, 0] - starts.positions_m[uav]
-    return t, path + place - left_of_start(turn, s, error)
+    return t, path + place - np.moveaxis(left_of_start(turn, s, error[:, None, None]), 0, -1)
 
 
 def demands(

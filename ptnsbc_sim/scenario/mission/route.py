@@ -264,7 +264,7 @@ def shape_of(file: ScenarioFile, uav: int) -> Shape:
 def places_beside_leader(file: ScenarioFile, uav: int, times: Array) -> Array:
     """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
     if uav == file.leader.id or not file.formation.moves:
-        return np.tile(file.offset(uav), (len(times), 1))
+        return np.repeat(file.offset(uav)[None], len(times), axis=0)
     return place_samples(shape_of(file, uav), trajectory_of(file.leader.trajectory), times)[:, :3]
 
 

@@ -92,9 +92,9 @@ def test_the_errors_are_those_of_the_verdict(name) -> None:
     recording = SimpleNamespace(first_ns=EPOCH_NS, phases=(phase,))
     block = SimpleNamespace(
         stamps=np.array([EPOCH_NS + 3_200_000_000]),
-        positions={uav: place[None, :] for uav, place in positions.items()},
+        positions=np.array([positions[uav] for uav in scenario.uav_ids]).T[..., None],
     )
-    expected = formation_errors(recording, block)
+    expected = dict(zip(scenario.uav_ids, formation_errors(recording, block), strict=True))
     for uav in state.frame()["uavs"]:
         assert uav["error"] == pytest.approx(expected[uav["id"]][0], abs=1e-4)
 

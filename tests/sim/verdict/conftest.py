@@ -7,11 +7,11 @@ from collections.abc import Callable
 import pytest
 from synthetic_flights import counters, flight, thinned
 
-from ptnsbc_sim.verdict import Recording, Series
+from ptnsbc_sim.verdict import Recording, Track
 
 
 @pytest.fixture
-def without() -> Callable[..., Series]:
+def without() -> Callable[..., Track]:
     return thinned
 
 
@@ -21,5 +21,5 @@ def fly() -> Callable[..., Recording]:
 
 
 @pytest.fixture
-def count() -> Callable[..., Series]:
+def count() -> Callable[..., Track]:
     return counters

@@ -13,7 +13,7 @@ from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
-from ptnsbc_sim.verdict import Recording, Series, verdict_on
+from ptnsbc_sim.verdict import Recording, Track, verdict_on
 from ptnsbc_sim.verdict.recording import absences, recording_of
 from ptnsbc_tools.tables import verdict_tables
 
@@ -189,7 +189,7 @@ def bridged(fly: Fly, without: Callable[..., Any]) -> Fly:
         inputs = {uav: without(series, *odd) for uav, series in whole.wrench.items()}
         stamps = slow[1].t_ns[4::10]  # five times a second
         counts = np.arange(5.0, 5.0 + 10.0 * stamps.size, 10.0)[:, None]
-        sent = {uav: Series(stamps, counts) for uav in slow}
+        sent = {uav: Track(stamps, counts) for uav in slow}
         slow[2] = without(slow[2], *gone)
         inputs[2] = without(inputs[2], *gone)
         epochs = ((1_000_000_000, "form"),)
@@ -320,9 +320,9 @@ def test_a_missing_wrench_is_held_not_dropped(fly: Fly, without: Callable[..., A
     assert one.missing == 800
 
 
-def until(track: Series, t_s: float) -> Series:
+def until(track: Track, t_s: float) -> Track:
     end = track.index(round(t_s * 1e9), "right")
-    return Series(track.t_ns[:end], track.values[:end])
+    return Track(track.t_ns[:end], track.values[:end])
 
 
 def test_vehicles_that_are_gone_need_not_be_recorded_to_the_end() -> None:
@@ -353,7 +353,7 @@ def test_one_that_comes_back_after_the_flight_is_lost() -> None:
     relay = load_scenario("relay")
     spans_s = [(0.0, 22.0), (51.0, 60.0)]
     stamps = np.concatenate([np.arange(*span, 0.01) for span in spans_s])
-    track = Series(np.round(stamps * 1e9).astype(np.int64), np.zeros((stamps.size, 13)))
+    track = Track(np.round(stamps * 1e9).astype(np.int64), np.zeros((stamps.size, 13)))
     (span,) = absences(relay, {5: track}, 0)[5]
     assert span.for_good
     assert span.text(0) == "lost at 22.00 s"
@@ -362,5 +362,5 @@ def test_one_that_comes_back_after_the_flight_is_lost() -> None:
 def test_one_that_lands_before_the_others_after_the_flight_is_not_lost() -> None:
     stamps = np.arange(0, 5200, dtype=np.int64) * 10_000_000
     later = np.arange(0, 6000, dtype=np.int64) * 10_000_000
-    tracks = {5: Series(stamps, np.zeros((5200, 13))), 2: Series(later, np.zeros((6000, 13)))}
+    tracks = {5: Track(stamps, np.zeros((5200, 13))), 2: Track(later, np.zeros((6000, 13)))}
     assert absences(load_scenario("relay"), tracks, 0)[5] == ()

@@ -16,7 +16,7 @@ LEGS = ((0, "form"), (9 * 10**9, "form"), (17 * 10**9, "hold"))
 
 def test_samples_at_other_times() -> None:
     stamps = np.arange(0, 1000, 10, dtype=np.int64) + 1_700_000_000_000_000_000
-    series = track.Series(stamps, np.random.default_rng(1).normal(size=(100, 5)))
+    series = track.Track(stamps, np.random.default_rng(1).normal(size=(100, 5)))
     some = np.array([3, 4, 50, 99])
     np.testing.assert_array_equal(series.at(stamps[some]), series.values[some])
     np.testing.assert_array_equal(series.at(stamps[some], 3), series.values[some, :3])

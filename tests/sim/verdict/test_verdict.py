@@ -13,7 +13,7 @@ from ptnsbc_sim import swarm
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import Word
-from ptnsbc_sim.verdict import Recording, Series, Verdict, VerdictError, verdict_on
+from ptnsbc_sim.verdict import Recording, Track, Verdict, VerdictError, verdict_on
 from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_sim.verdict.verdict import legs_without_deadline
 from ptnsbc_tools.tables import reasons, verdict_sentence
@@ -241,7 +241,7 @@ def moved(recording: Recording, uav: int, begin_s: float, end_s: float, by: Any)
     track = recording.odometry[uav].rows(0, recording.odometry[uav].size)
     values, t = track.values.copy(), track.t_ns * 1e-9
     values[(t >= begin_s) & (t < end_s), :3] += np.array(by)
-    odometry = {**recording.odometry, uav: Series(track.t_ns, values)}
+    odometry = {**recording.odometry, uav: Track(track.t_ns, values)}
     return replace(recording, odometry=odometry)
 
 
@@ -292,7 +292,7 @@ def test_a_leg_that_is_due_after_the_flight_is_not_judged() -> None:
 def test_a_leg_that_is_not_in_the_recording_is_void() -> None:
     recording = flown()
     cut = {uav: track.rows(0, 600) for uav, track in recording.odometry.items()}
-    odometry = {uav: Series(rows.t_ns, rows.values) for uav, rows in cut.items()}
+    odometry = {uav: Track(rows.t_ns, rows.values) for uav, rows in cut.items()}
     verdict = verdict_on(replace(recording, odometry=odometry))
     found = words_of(verdict)
     assert found["there"] == "void"

@@ -17,7 +17,7 @@ from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.verdict import Recording, Series
+from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_tools.live.server import FoxgloveSink
 from ptnsbc_tools.live.watch import stage
 from ptnsbc_tools.plotting import draw
@@ -81,7 +81,7 @@ def test_inputs_against_weight_and_limit(fly):
     series = recording.wrench[2]
     values = series.values.copy()
     values[50] = [3.0, 4.0, 0.0, 0.0, 0.6, 0.8]
-    found = drawn(replace(recording, wrench={**recording.wrench, 2: Series(series.t_ns, values)}))
+    found = drawn(replace(recording, wrench={**recording.wrench, 2: Track(series.t_ns, values)}))
     scenario = recording.scenario
     weight = scenario.plant.mass_kg * scenario.world.gravity_m_s2
     assert found["force"].curves[1].values[50] == pytest.approx(5.0)
@@ -123,7 +123,7 @@ def test_the_estimate_of_the_leader(fly):
     series = recording.odometry[1]
     moved = series.values.copy()
     moved[:, 2] += 0.25
-    recording = replace(recording, estimate={4: Series(series.t_ns, moved)})
+    recording = replace(recording, estimate={4: Track(series.t_ns, moved)})
     (curve,) = drawn(recording)["estimator"].curves
     assert curve.label == "UAV 4"
     np.testing.assert_allclose(curve.values, 0.25)

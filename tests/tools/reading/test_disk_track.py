@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptnsbc_sim.verdict import Series, Track
+from ptnsbc_sim.verdict import Track
 from ptnsbc_tools.reading import disk_track
 from ptnsbc_tools.reading.disk_track import SampleFile, SampleFileError, TrackWriter
 
@@ -19,7 +19,7 @@ STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
 ).map(sorted)
 
 
-def written(stamps: list[int], width: int = 3) -> tuple[Track, Series]:
+def written(stamps: list[int], width: int = 3) -> tuple[Track, Track]:
     """A track on the disk and what it should hold: of two with one stamp the last, by stamp."""
     writer = TrackWriter(SampleFile())
     rows: dict[int, list[float]] = {}
@@ -29,7 +29,7 @@ def written(stamps: list[int], width: int = 3) -> tuple[Track, Series]:
         writer.add(stamp, 1000 - number, np.array(values))
         rows[1000 - number if empty else stamp] = values
     order = sorted(rows)
-    expected = Series(np.array(order), np.array([rows[stamp] for stamp in order]))
+    expected = Track(np.array(order), np.array([rows[stamp] for stamp in order]))
     return writer.track(), expected
 
 

@@ -13,7 +13,7 @@ import pytest
 from chromium import chromium
 
 from ptnsbc_sim.counters import COUNTERS
-from ptnsbc_sim.verdict import Series
+from ptnsbc_sim.verdict import Track
 from ptnsbc_tools.library.flight import flight_in
 from ptnsbc_tools.plotting.charts import view_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording
@@ -295,7 +295,7 @@ def test_a_deadlock_stands_in_the_bar_of_time(tab: Any, tmp_path: Path) -> None:
     track = view.recording.counters[3]
     values = track.rows(0, track.size).values.copy()
     values[:, COUNTERS.index("deadlock_s")] = np.clip(np.arange(len(values)) - 10.0, 0.0, 5.0)
-    stuck = {**view.recording.counters, 3: Series(track.rows(0, track.size).t_ns, values)}
+    stuck = {**view.recording.counters, 3: Track(track.rows(0, track.size).t_ns, values)}
     file = tmp_path / "index.html"
     shown = view_of(replace(view.recording, counters=stuck), StatusSeries())
     file.write_text(page(shown, {}), encoding="utf-8")

@@ -20,7 +20,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
-from ptnsbc_sim.verdict import Series
+from ptnsbc_sim.verdict import Track
 from ptnsbc_sim.verdict.recording import recording_of
 from ptnsbc_tools.plotting.charts import view_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries
@@ -85,7 +85,7 @@ def test_a_quaternion_that_changes_sign_is_no_turn(fly):
     values = series.values.copy()
     values[600:, 3:7] *= -1
     found = Unpacked(
-        replace(recording, odometry={**recording.odometry, 2: Series(series.t_ns, values)})
+        replace(recording, odometry={**recording.odometry, 2: Track(series.t_ns, values)})
     )
     np.testing.assert_array_equal(np.sign(found.poses()[:, 1, 6]), 1)
 
@@ -105,7 +105,7 @@ def test_a_deadlock_is_told(fly, count):
     values = counters.values.copy()
     values[:, COUNTERS.index("deadlock_s")] = np.clip(counters.t_ns * 1e-9 - 7.0, 0.0, 1.0)
     recording = fly()
-    stuck = {**recording.counters, 4: Series(counters.t_ns, values)}
+    stuck = {**recording.counters, 4: Track(counters.t_ns, values)}
     uavs = Unpacked(replace(recording, counters=stuck)).space["uavs"]
     assert [uav["deadlocks"] for uav in uavs if uav["id"] != 4] == [[]] * 4
     ((begin, end),) = uavs[3]["deadlocks"]
@@ -260,7 +260,7 @@ def test_numbers_that_are_none_leave_a_page(fly):
 
 def test_one_message_is_no_flight(fly):
     recording = fly()
-    first = {uav: Series(s.t_ns[:1], s.values[:1]) for uav, s in recording.odometry.items()}
+    first = {uav: Track(s.t_ns[:1], s.values[:1]) for uav, s in recording.odometry.items()}
     assert "No verdict: the recording holds no formation flight" in text(
         made(replace(recording, odometry=first))
     )
