@@ -86,18 +86,10 @@ def measure(plan: Plan) -> Sequence[Row]:
     for size, scenario in flights.items():
         runs[str(size)] = _ticks_per_s(scenario)
     found = take_turns(runs, plan.of(7, 2))
-    rows = [
-        Row(
-            f"headless flight, N = {size}",
-            found[str(size)],
-            "ticks/s",
-            SVD,
-            found["svd"],
-            "µs",
-            Target(_TARGETS[size], at_least=True),
-        )
-        for size in flights
-    ]
+    rows, svd = [], (SVD, found["svd"], "µs")
+    for size in flights:
+        target = Target(_TARGETS[size], at_least=True)
+        rows.append(Row(f"headless flight, N = {size}", found[str(size)], "ticks/s", *svd, target))
     for size, scenario in flights.items():
         rows += _pieces(size, scenario, plan.of(7, 2))
     return rows
