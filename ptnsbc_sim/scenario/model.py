@@ -374,9 +374,6 @@ class UavBlock(Block):
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:
     """The vehicle of one UAV, as the laws know it."""
-    of_body, of_motion = (uav.mass_kg, uav.inertia_kg_m2, uav.drag_1_s), uav.max_tilt_rad
-    if {*of_body, of_motion, uav.max_force_n, uav.max_torque_nm} == {None}:
-        return plant
     own = {"mass_kg": uav.mass_kg, "inertia_kg_m2": uav.inertia_kg_m2}
     limits = {"max_torque_nm": uav.max_torque_nm, "drag_1_s": uav.drag_1_s}
     tilts = {"max_thrust_n": uav.max_force_n, "max_tilt_rad": uav.max_tilt_rad}

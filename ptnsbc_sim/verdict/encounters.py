@@ -128,17 +128,15 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     ends = sorted({end for _, end in windows})
     if not ends:
         return {uav: [] for uav in scenario.uav_ids}
-    off = {
-        uav: dict(zip(ends, of, strict=True))
-        for uav, of in zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True)
-    }
+    place = {end: k for k, end in enumerate(ends)}
+    off = dict(zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True))
     recovery = _recovery(scenario)
     cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
 
     def encounter(window: Window, uavs: Iterable[int]) -> Encounter:
         """A window, and the way back of the slowest of these UAVs."""
         begin, end = window
-        back_s = max(recovery(uav, off[uav][end]) for uav in uavs)
+        back_s = max(recovery(uav, off[uav][place[end]]) for uav in uavs)
         return Encounter(begin, end, end + nanoseconds(back_s))
 
     result = {}

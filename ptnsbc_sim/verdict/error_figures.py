@@ -86,9 +86,7 @@ class ErrorFigures:
         )
         self._changes = _changes_due(recording, windows)
         self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
-        self.values = [self._at, *(at for _, at in self._changes)]
-        if self.over_deadline is not None:
-            self.values.append(self._at_due)
+        self.values = [self._at, self._at_due, *(at for _, at in self._changes)]
         self.end_s = self.end_error = np.nan  # of the newest sample
         self.squares = 0.0  # sum of the squared errors after the deadline
         self.after = 0  # number of samples in that sum

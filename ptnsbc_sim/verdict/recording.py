@@ -95,8 +95,8 @@ def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> 
     def silence(heard_ns: int, again_ns: int) -> Absence:
         return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
 
-    told = track.t_ns[(track.t_ns > first_ns) & (track.t_ns <= last_ns)]
-    stamps = np.concatenate(([first_ns], told))
+    told = slice(*track.span(first_ns + 1, last_ns))
+    stamps = np.concatenate(([first_ns], track.t_ns[told]))
     gaps = np.flatnonzero(np.diff(stamps) > stale_ns).tolist()
     spans = [silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns) for k in gaps]
     if last_ns - stamps[-1] > stale_ns:
@@ -363,9 +363,8 @@ def counter_rises(recording: Recording, start_ns: int, end_ns: int) -> dict[int,
             first = track.index(start_ns, "left") if start_ns > track.first_ns else 0
             before = track.values[first - 1] if first else 0.0
             values = np.maximum(track.values[last - 1] - before, 0.0).tolist()
-            rises |= {
-                u: dict(zip(COUNTERS, of, strict=True)) for u, of in zip(uavs, values, strict=True)
-            }
+            for uav, of_uav in zip(uavs, values, strict=True):
+                rises[uav] = dict(zip(COUNTERS, of_uav, strict=True))
     return rises
 
 

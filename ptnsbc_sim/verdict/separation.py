@@ -79,11 +79,9 @@ def _room(pair: Separation) -> float:
     return pair.distance_m - pair.keep_out_m
 
 
-def joined(parts: Sequence[Sequence[Separation]]) -> list[Separation]:
+def joined(parts: Iterable[Iterable[Separation]]) -> list[Separation]:
     """The separations of several spans as those of one, the smallest margin first."""
     found: dict[tuple[str, str], Separation] = {}
-    if len(parts) == 1:
-        return sorted(parts[0], key=_room)
     for part in parts:
         for pair in part:
             key = pair.first, pair.second

@@ -41,14 +41,12 @@ class ValueAt:
         """Take the next samples (T,) [s] and (T,)."""
         if self.value is None and times[-1] >= self._t_s:
             after = int(times.searchsorted(self._t_s))
-            t, value = float(times[after]), float(values[after])
-            before = self._last
             if after:
-                before = float(times[after - 1]), float(values[after - 1])
-            if before is not None and t > self._t_s:
-                slope = (value - before[1]) / (t - before[0])
-                value = slope * (self._t_s - before[0]) + before[1]
-            self.value = value
+                self._last = float(times[after - 1]), float(values[after - 1])
+            t, self.value = float(times[after]), float(values[after])
+            if self._last is not None and t > self._t_s:
+                slope = (self.value - self._last[1]) / (t - self._last[0])
+                self.value = slope * (self._t_s - self._last[0]) + self._last[1]
         self._last = float(times[-1]), float(values[-1])
 
 
@@ -101,30 +99,20 @@ class Track:
         return between.reshape(-1, *values.shape[1:])
 
 
-class Together(Mapping[int, Track]):
-    """The tracks of UAVs that sampled at the same stamps, which are reduced together."""
+class Together(dict[int, Track]):
+    """The tracks of UAVs that sampled at the same stamps: views of one track, which is reduced as a whole."""
 
     def __init__(self, uavs: Sequence[int], track: Track) -> None:
-        self.rows = {uav: row for row, uav in enumerate(uavs)}
+        rows = np.moveaxis(track.values, 1, 0)
+        super().__init__((u, Track(track.t_ns, of)) for u, of in zip(uavs, rows, strict=True))
         self.track = track  # values (T, N, width)
 
-    def __getitem__(self, uav: int) -> Track:
-        return Track(self.track.t_ns, self.track.values[:, self.rows[uav]])
 
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.rows)
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-
-def together(tracks: Mapping[int, Track]) -> Iterator[tuple[tuple[int, ...], Track]]:
+def together(tracks: Mapping[int, Track]) -> list[tuple[tuple[int, ...], Track]]:
     """The UAVs that sampled at the same stamps, and their samples as one track with values (T, N, width)."""
     if isinstance(tracks, Together):
-        yield tuple(tracks), tracks.track
-        return
-    for uav, track in tracks.items():
-        yield (uav,), Track(track.t_ns, track.values[:, None])
+        return [(tuple(tracks), tracks.track)]
+    return [((uav,), Track(track.t_ns, track.values[:, None])) for uav, track in tracks.items()]
 
 
 def vectors_at(
@@ -132,11 +120,9 @@ def vectors_at(
 ) -> Array:
     """The first three columns of the tracks of UAVs at instants (T,) [ns], ascending: (3, N, T), axis by axis."""
     vectors = np.empty((3, len(uavs), stamps.size))
-    if isinstance(tracks, Together):
-        shared, rows = tracks.track.at(stamps, 3), tracks.rows
-        values = [shared[:, rows[uav]] for uav in uavs]
-    else:
-        values = [tracks[uav].at(stamps, 3) for uav in uavs]
-    for row, of_uav in enumerate(values):
-        vectors[:, row] = of_uav.T
+    for group, track in together(tracks):
+        values = track.at(stamps, 3).T
+        for row, uav in enumerate(group):
+            if uav in uavs:
+                vectors[:, uavs.index(uav)] = values[:, row]
     return vectors

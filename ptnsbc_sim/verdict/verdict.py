@@ -72,7 +72,7 @@ def efforts(recording: Recording) -> dict[int, Effort]:
     found: dict[int, Effort] = {}
     for uavs, track in together(recording.wrench):
         weights = scenario.world.gravity_m_s2 * np.array([masses[uav] for uav in uavs])
-        initial: tuple[Array, Array] | None = None  # |u| and force at the epoch
+        initial: tuple[Array, Array] | None = None  # |u| and force above the weight
         peak = peak_force = np.full(len(uavs), -np.inf)
         peak_at_s, energy, above_hover = np.zeros((3, len(uavs)))
         # The last input before the epoch acts at the epoch.
@@ -95,7 +95,7 @@ def efforts(recording: Recording) -> dict[int, Effort]:
                 continue
             force, torque, square = force[:, inside:], torque[:, inside:], square[:, inside:]
             if initial is None:
-                initial = np.hypot(force[:, 0], torque[:, 0]), force[:, 0]
+                initial = np.hypot(force[:, 0], torque[:, 0]), force[:, 0] - weights
             peak_force = np.maximum(peak_force, force.max(axis=1))
             low = square < _NEARLY * square.max(axis=1, keepdims=True)  # of a NaN nothing is low
             whole = np.hypot(force, torque, out=np.full_like(force, -np.inf), where=~low)
@@ -106,8 +106,7 @@ def efforts(recording: Recording) -> dict[int, Effort]:
             times = seconds_since(block.t_ns[inside:], start_ns)
             peak_at_s = np.where(higher, times[highest], peak_at_s)
         if initial is not None:
-            whole, force = initial
-            figures = (whole, force - weights, peak, peak_force, peak_at_s, energy, above_hover)
+            figures = (*initial, peak, peak_force, peak_at_s, energy, above_hover)
             lost = missing(recording, uavs, track)
             for uav, of in zip(uavs, np.array(figures).T.tolist(), strict=True):
                 found[uav] = Effort(uav, *(*of, lost[uav]))
@@ -263,7 +262,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         parts.append(pairs)
     for start_ns, end_ns in legs_without_deadline(recording):
         blocks = recording.blocks(start_ns, end_ns)
-        parts.append(joined([separations(recording, block) for block in blocks]))
+        parts.append(joined(separations(recording, block) for block in blocks))
     inputs = tuple(efforts(recording).values())
     closest = tuple(joined(parts))
     begin_ns, end_ns = recording.start_ns, recording.start_ns + nanoseconds(first.duration_s)

@@ -223,9 +223,8 @@ def draw_paths(
         label = f"UAV {uav}{leader}"
         axes.plot(*path[:, view].T, label=label, linewidth=1.0, **_style(look(index)))
     stamps = recording.start_ns + np.array([nanoseconds(t) for t in times])
-    places = dict(
-        zip(scenario.uav_ids, recording.at(stamps).positions.T.swapaxes(0, 1), strict=True)
-    )
+    positions = np.moveaxis(recording.at(stamps).positions, 0, 2)
+    places = dict(zip(scenario.uav_ids, positions, strict=True))
     later_s = seconds(recording.start_ns - recording.first_ns)
     names = [
         (f"{t:.3g} s", place)

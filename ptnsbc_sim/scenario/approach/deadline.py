@@ -161,8 +161,6 @@ def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> Problem:
 
 def _offsets_at(file: ScenarioFile, t: float) -> dict[int, Array]:
     """Place (3,) [m] of every slot beside the leader's, so long after the first epoch."""
-    if not file.formation.moves:
-        return {uav: file.offset(uav) for uav in file.uav_ids}
     return {uav: places_beside_leader(file, uav, np.array([t]))[0] for uav in file.uav_ids}
 
 
