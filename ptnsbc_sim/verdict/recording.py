@@ -95,8 +95,7 @@ def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> 
     def silence(heard_ns: int, again_ns: int) -> Absence:
         return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
 
-    told = slice(*track.span(first_ns + 1, last_ns))
-    stamps = np.concatenate(([first_ns], track.t_ns[told]))
+    stamps = np.concatenate(([first_ns], track.t_ns[slice(*track.span(first_ns + 1, last_ns))]))
     gaps = np.flatnonzero(np.diff(stamps) > stale_ns).tolist()
     spans = [silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns) for k in gaps]
     if last_ns - stamps[-1] > stale_ns:

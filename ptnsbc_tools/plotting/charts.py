@@ -258,8 +258,7 @@ class FlightView:
 
     def rising(self, uav: int, name: str) -> list[tuple[float, float]]:
         """Spans [s] in which a counter of a UAV rises, one of `COUNTERS`."""
-        counters = self.recording.counters.get(uav)
-        windows = [] if counters is None else rising({uav: counters}, name)[uav]
+        windows = rising(self.recording.counters, name).get(uav, [])
         return [self.seconds(window) for window in windows]
 
 
