@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bench.session import Plan
@@ -32,11 +32,10 @@ def measure(plan: Plan) -> Sequence[Row]:
     runs, most = plan.of(1000, 100), plan.of(10_000, 200)
     _swept(50)  # compiled or loaded before it counts
     found = [_swept(runs) for _ in range(plan.of(3, 1))]
-    many = _swept(most)
     wall_s = [one["wall_s"] for one in found]
     per_s = [runs * _TICKS / spent_s for spent_s in wall_s]
     loop_ms, verdict_ms = _judged_ms(plan.of(100, 20))
-    memory_mb = [many["memory_mb"]]
+    memory_mb = [_swept(most)["memory_mb"]]
     return [
         Row(f"{runs} flights of 10 s, N = 5, 2 workers", wall_s, "s", target=Target(20.0)),
         Row("the same", per_s, "UAV-ticks/s", target=Target(600_000.0, at_least=True)),
@@ -51,19 +50,18 @@ def _sweep(runs: int) -> SweepPlan:
     return plan_of(scenario, runs, starts=parse_starts("near:0.3"))
 
 
-def _judged_ms(runs: int) -> tuple[list[float], list[float]]:
+def _judged_ms(runs: int) -> Iterator[tuple[float, ...]]:
     """CPU times of the loop and of the verdict of each flight of a sweep, the first one apart [ms]."""
     plan, room = _sweep(runs + 1), None
-    loop_ms, verdict_ms = [], []
+    spent_ms = []
     for k in range(runs + 1):
         scenario, _ = drawn_scenario(plan, k)
         began_s = time.thread_time()
         room = fly(scenario, room=room)
         flown_s = time.thread_time()
         verdict_on(recording_of(room))
-        loop_ms.append(1e3 * (flown_s - began_s))
-        verdict_ms.append(1e3 * (time.thread_time() - flown_s))
-    return loop_ms[1:], verdict_ms[1:]
+        spent_ms.append((1e3 * (flown_s - began_s), 1e3 * (time.thread_time() - flown_s)))
+    return zip(*spent_ms[1:], strict=True)
 
 
 def _swept(runs: int) -> dict[str, float]:
@@ -71,8 +69,7 @@ def _swept(runs: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "bench.sweep", str(runs), str(Path(folder) / "sweep")]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    found: dict[str, float] = json.loads(done.stdout)
-    return found
+    return dict(json.loads(done.stdout))
 
 
 def _memory_mb() -> float:
