@@ -103,7 +103,7 @@ class Together(dict[int, Track]):
     """The tracks of UAVs that sampled at the same stamps: views of one track, which is reduced as a whole."""
 
     def __init__(self, uavs: Sequence[int], track: Track) -> None:
-        rows = np.moveaxis(track.values, 1, 0)
+        rows = track.values.swapaxes(0, 1)
         super().__init__((u, Track(track.t_ns, of)) for u, of in zip(uavs, rows, strict=True))
         self.track = track  # values (T, N, width)
 

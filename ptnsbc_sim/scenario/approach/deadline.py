@@ -205,7 +205,7 @@ def planned_pairs(file: ScenarioFile) -> Pairs:
     starts = np.array([uav.position_m for uav in file.uavs])
     lead = file.uav_ids.index(file.leader.id)
     keep_outs = [file.keep_out_m(uav) for uav in file.uav_ids]
-    places = np.stack(list(_offsets_at(file, 0.0).values()))
+    places = np.concatenate([places_beside_leader(file, uav, np.zeros(1)) for uav in file.uav_ids])
     margin_m = float(file.gains.clearance.margin_m)
     return pairs_of(starts - starts[lead], places, np.array(keep_outs), margin_m)
 
