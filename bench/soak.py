@@ -107,8 +107,7 @@ def soak(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 1 when anything is not as wanted.
 
-    A process died unasked or grew by 1 %, a keep-out was entered, or a message did not reach
-    the recorder.
+    A process died unasked or grew by 1 %, a keep-out was entered, or a message did not reach the recorder.
     """
     parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)
     parser.add_argument("--uavs", type=int, default=20)
