@@ -300,7 +300,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
     flight.wait_for("recorder (pid ", "signal SIGKILL")
     os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
     assert flight.finish() == 1
-    assert any("sim: 20.00 s" in line for line in flight.lines)
+    assert any("sim: 20.00 of 20 s" in line for line in flight.lines)
     assert "lost recorder, uav3" in flight.lines[-1]
     assert not flight.running()
     with pytest.raises(BagError, match="ptnsbc bag repair"):
