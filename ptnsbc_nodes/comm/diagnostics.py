@@ -25,7 +25,6 @@ SAFETY = "safety"
 """Key of the safety state."""
 _LOG_GAP_S = 1.0
 _STATUS_HEAD = struct.Struct("<I4xIB3x")  # of an empty frame_id, for one status, with its level
-_COUNT = struct.Struct("<I")
 
 
 class DiagnosticLevel(IntEnum):
@@ -71,7 +70,7 @@ def diagnostics(
     # Nothing is aligned behind the last text.
     pairs = b"".join((*map(aligned_string, texts[:-1]), *map(encode_string, texts[-1:])))
     head = LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + _STATUS_HEAD.pack(1, 1, level)
-    return head + about + _COUNT.pack(len(values)) + pairs
+    return head + about + len(values).to_bytes(4, "little") + pairs
 
 
 class StatusPublisher:
