@@ -1,127 +1,127 @@
-"""`ptnsbc stop` at random moments of flights, does every vehicle obey, and how soon?
+"""`ptnsbc stop --ready` past bridges that die: is every vehicle reached, and how soon?
 
-`python -m bench.stop [--times 20] [--orders kill,land] [--seed 1]`. Each run is a whole fleet on four stand-ins over
-UDP, without the dry runs before it. A terminal stands ready (`ptnsbc stop --ready`). At a random moment of the climb,
-the hover or the formation the key is pressed. The time of a vehicle runs from there until the stand-in itself has its
-motors off, or lands.
+`python -m bench.stop [--times 200] [--seed 1]`. Two stand-ins hover, each with the process of a bridge and no fleet
+around it. In each trial a terminal stands ready, and one or both bridges are killed, stopped, or killed and started
+again, at a random moment before it opens or after. Then the key is pressed: land or kill in turn. The time of a vehicle
+runs from there until the stand-in itself lands, or has its motors off. Where a bridge was stopped nothing tells the
+command that the vehicle obeys, and its exit code is 1.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
-import statistics
+import signal
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
-from bench.stand_ins import (
-    PATIENCE_S,
-    VEHICLES,
-    Running,
-    program,
-    stand_ins,
-    wait_for,
-    write_scenario,
-)
+from bench.stand_ins import PATIENCE_S, program, stand_ins, wait_for, write_scenario
 from ptnsbc_autopilot.fault_lines import send_fault
-from ptnsbc_autopilot.vehicle import AutopilotError
+from ptnsbc_nodes.emergency import forget_dead, list_fleet, records, release, runtime_folder
+from ptnsbc_nodes.runtime.environment import free_domain
 
-_MOMENT_S = 20.0  # the key is pressed within this time after all have begun to climb
-_OBEYED_S = 20.0
-_FLIGHT_S = 120.0
-
-
-class Stopped(NamedTuple):
-    """One order in one flight."""
-
-    order: str
-    seconds: dict[int, float]  # by system id, from the key until the vehicle obeyed
-    exit_code: int
-    lines: tuple[str, ...]  # what the command printed
-
-    @property
-    def all_obeyed(self) -> bool:
-        """True if every vehicle obeyed, and the command said so."""
-        return len(self.seconds) == len(VEHICLES) and self.exit_code == 0
+_UAVS, _STRIKES = (1, 2), ("kill", "stop", "restart")
+_WITHIN_S, _OBEYED_S, _PATIENCE_S = 5.0, 8.0, 4
 
 
-def run_once(order: str, moment_s: float) -> Stopped:
-    """One flight and one order."""
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        folder = Path(name)
-        scenario, control = write_scenario(folder, _FLIGHT_S)
-        domain = random.randint(81, 100)
-        fleet = ("fleet", scenario, "--backend", "mavlink", "--allow-arming", "--no-check")
-        stop = ("stop", "--ready", *(["--kill"] if order == "kill" else []))
-        with (
-            stand_ins(folder, domain, scenario, control),
-            program(folder, "fleet", domain, "ptnsbc_tools.cli", *fleet) as flight,
-        ):
-            wait_for(flight, [f"bridge{i}: taking off" for i in VEHICLES])
-            with program(folder, "stop", domain, "ptnsbc_tools.cli", *stop) as terminal:
-                wait_for(terminal, ["bridge4"])
-                # A drawn moment of climb, hover or formation: no event marks it.
-                time.sleep(moment_s)
-                return _press(terminal, order, control)
+class Bridges:
+    """The processes of the bridges of stand-ins that hover."""
+
+    def __init__(self, folder: Path, domain: int, scenario: Path, control: int) -> None:
+        self.folder, self.domain, self._scenario, self._control = folder, domain, scenario, control
+        self._processes: dict[int, subprocess.Popen[bytes]] = {}
+
+    def begin(self) -> None:
+        """All vehicles hover, and all bridges know it."""
+        folder = runtime_folder(self.domain)
+        release(folder)
+        for uav in _UAVS:
+            self.strike(uav, "restart")
+            send_fault(self._control, f"{uav} takeoff now")
+        forget_dead(folder)
+        list_fleet(folder, [f"bridge{uav}" for uav in _UAVS])
+        while set(self.modes()) != {"HOLD"} or sum(one.armed for one in records(folder)) < 2:
+            time.sleep(0.05)
+
+    def modes(self) -> list[str]:
+        """The mode of each vehicle, empty when it is disarmed."""
+        states = json.loads(send_fault(self._control, "all state"))[: len(_UAVS)]
+        return [state["mode"] if state["armed"] else "" for state in states]
+
+    def strike(self, uav: int, what: str) -> None:
+        """Kill the process of a bridge, stop it, or have another one in its place."""
+        if uav in self._processes:
+            self._processes[uav].send_signal(signal.SIGSTOP if what == "stop" else signal.SIGKILL)
+        if what == "restart":
+            words = ("ptnsbc_nodes.bridge.bridge_main", "--scenario", self._scenario, "--uav", uav)
+            with (self.folder / f"bridge{uav}.log").open("wb") as log:
+                command = [sys.executable, "-m", *map(str, words)]
+                self._processes[uav] = subprocess.Popen(command, stderr=log)
 
 
-def _press(terminal: Running, order: str, control: int) -> Stopped:
-    assert terminal.process.stdin is not None
-    pressed = time.monotonic()
-    terminal.process.stdin.write(b"\n")
-    terminal.process.stdin.flush()
-    found: dict[int, float] = {}
-    while len(found) < len(VEHICLES) and time.monotonic() - pressed < _OBEYED_S:
-        with suppress(AutopilotError):
-            for state in json.loads(send_fault(control, "all state")):
-                obeyed = not state["armed"] or (order == "land" and state["mode"] == "LAND")
-                if obeyed:
-                    found.setdefault(state["system"], time.monotonic() - pressed)
-        time.sleep(0.01)
-    code = terminal.process.wait(PATIENCE_S)
-    return Stopped(order, found, code, tuple(terminal.log.read_text().splitlines()))
+def run_once(bridges: Bridges, order: str, chance: random.Random) -> tuple[str, list[float]]:
+    """One order after strikes at random moments: these, and the times until vehicles obeyed."""
+    bridges.begin()
+    struck = chance.sample(_UAVS, chance.choice((1, 1, 2)))
+    strikes = {uav: (chance.choice(_STRIKES), chance.choice(("before", "after"))) for uav in struck}
 
+    def strike(moment: str) -> None:
+        for uav, (what, when) in strikes.items():
+            if when == moment:
+                bridges.strike(uav, what)
+                time.sleep(chance.uniform(0.0, _WITHIN_S))  # no event marks the moment
 
-def _summary(order: str, runs: Sequence[Stopped]) -> str:
-    firsts = sorted(min(run.seconds.values()) for run in runs if run.seconds)
-    lasts = sorted(max(run.seconds.values()) for run in runs if run.seconds)
-    obeyed = sum(run.all_obeyed for run in runs)
-    vehicles = sum(len(run.seconds) for run in runs)
-    return (
-        f"{order}: {obeyed} of {len(runs)} orders reached all vehicles with exit code 0; "
-        f"{vehicles} of {len(VEHICLES) * len(runs)} vehicles; "
-        f"first vehicle median {statistics.median(firsts):.2f} s; last vehicle median "
-        f"{statistics.median(lasts):.2f} s, 90 % {lasts[int(0.9 * (len(lasts) - 1))]:.2f} s, "
-        f"largest {lasts[-1]:.2f} s"
-    )
+    strike("before")
+    words = ("stop", "--ready", "--patience", _PATIENCE_S, *(["--kill"] * (order == "kill")))
+    with program(bridges.folder, "stop", bridges.domain, "ptnsbc_tools.cli", *words) as terminal:
+        wait_for(terminal, ["ready: any key"])
+        strike("after")
+        assert terminal.process.stdin is not None
+        terminal.process.stdin.write(b"\n")
+        terminal.process.stdin.flush()
+        pressed_s, seconds = time.monotonic(), dict[int, float]()
+        while len(seconds) < len(_UAVS) and (now_s := time.monotonic()) - pressed_s < _OBEYED_S:
+            for uav, mode in zip(_UAVS, bridges.modes(), strict=True):
+                if not mode or (order == "land" and mode == "LAND"):
+                    seconds.setdefault(uav, now_s - pressed_s)
+            time.sleep(0.01)
+        code = terminal.process.wait(PATIENCE_S)
+        if len(seconds) < len(_UAVS):
+            print(terminal.log.read_text(), flush=True)
+    return f"{order} after {strikes}: exit code {code}", list(seconds.values())
 
 
 def main() -> None:
-    """Fly, stop, and print the distribution of the times."""
+    """Strike, stop, and print the distribution of the times."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=20, help="flights per order")
-    parser.add_argument("--orders", default="kill,land")
+    parser.add_argument("--times", type=int, default=200, help="trials")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    chance = random.Random(arguments.seed)
-    found: dict[str, list[Stopped]] = {order: [] for order in arguments.orders.split(",")}
-    for turn in range(arguments.times):
-        for order, runs in found.items():
-            run = run_once(order, chance.uniform(0.0, _MOMENT_S))
-            runs.append(run)
-            times = ", ".join(f"{i}: {run.seconds.get(i, float('nan')):.2f}" for i in VEHICLES)
-            print(f"{turn + 1} {order}: exit {run.exit_code}, {times} s", flush=True)
-            if not run.all_obeyed:
-                print("\n".join(run.lines), flush=True)
-    for order, runs in found.items():
-        print(_summary(order, runs))
-    if not all(run.all_obeyed for runs in found.values() for run in runs):
-        raise SystemExit(1)
+    chance, times = random.Random(arguments.seed), dict[str, list[float]](land=[], kill=[])
+    with tempfile.TemporaryDirectory(prefix="bench-") as name, free_domain() as domain:
+        os.environ.update(XDG_RUNTIME_DIR=name, ROS_DOMAIN_ID=str(domain))
+        scenario, control = write_scenario(Path(name), 600.0)
+        bridges = Bridges(Path(name), domain, scenario, control)
+        with stand_ins(Path(name), domain, scenario, control):
+            for turn in range(arguments.times):
+                order = ("land", "kill")[turn % 2]
+                text, seconds = run_once(bridges, order, chance)
+                times[order] += seconds
+                print(
+                    f"{turn + 1} {text}, {' '.join(f'{one:.2f}' for one in seconds)} s", flush=True
+                )
+        for uav in _UAVS:
+            bridges.strike(uav, "kill")
+    for order, found in times.items():
+        found.sort()
+        tail = f"90 % {found[int(0.9 * (len(found) - 1))]:.2f} s, largest {found[-1]:.2f} s"
+        print(f"{order}: {len(found)} vehicles, median {found[len(found) // 2]:.2f} s, {tail}")
+    raise SystemExit(sum(map(len, times.values())) < len(_UAVS) * arguments.times)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ import socket
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from ptnsbc_autopilot.vehicle import AutopilotError, Log, StandInVehicle
+from ptnsbc_autopilot.vehicle import AutopilotError, Log, Request, StandInVehicle
+from ptnsbc_io.mavlink.dialect import mavlink
 
 _HOST = "127.0.0.1"
 _LINE_BYTES = 4096
@@ -52,7 +53,13 @@ def _arming(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.refuse_arming, vehicle.faults.deny_arming = word == "refuse", word == "deny"
 
 
-def _takeoff(vehicle: StandInVehicle, word: str, _t: float) -> None:
+def _takeoff(vehicle: StandInVehicle, word: str, t: float) -> None:
+    if word == "now":  # its pilot does it, as high as its parameters say
+        if not vehicle.armed:
+            vehicle.arm(t)
+        height = (0.0,) * 6 + (math.nan,)
+        vehicle.fly(Request(mavlink.MAV_CMD_NAV_TAKEOFF, height, vehicle.system, 0), t)
+        return
     vehicle.faults.takeoff_detected = _choice(word, "real", "detected", "takeoff")
 
 

@@ -70,6 +70,9 @@ class Endpoint:
     socket: socket.socket = field(init=False)
     last_heard_t: float = -1e9
 
+    def __post_init__(self) -> None:
+        self._first = self.partner
+
     def open(self) -> None:
         """Bind.
 
@@ -99,6 +102,8 @@ class Endpoint:
             if messages:
                 self._update_partner(Address(*source), now)
             out += messages
+        if now - self.last_heard_t > _PARTNER_TIMEOUT_S:  # as a firmware that has its address
+            self.partner = self._first or self.partner
         return out
 
     def _update_partner(self, source: Address, now: float) -> None:
