@@ -301,6 +301,11 @@ class VehicleRecord:
         return True
 
     @property
+    def orphaned(self) -> bool:
+        """True if its bridge has ended and has left it armed, and no pilot flies it."""
+        return self.armed and not (self.in_pilots_hands or self.alive)
+
+    @property
     def status(self) -> dict[str, str]:
         """The values of a status that `reported` reads."""
         values = {name: getattr(self, name) for name in _STATUS}

@@ -288,9 +288,11 @@ ANSWERS = (
         "the vehicle, by the silence; the launcher, by the exit code",
         "as the vehicle is set",
         _HOLD,
-        "the failsafe of the vehicle acts; at the end the launcher lands it past the bridge; exit code 1",
+        "the failsafe of the vehicle acts, and everybody keeps clear of it; at the end the launcher lands it past the "
+        "bridge; exit code 1",
         _NEVER,
         (
+            f"{_BRIDGE}test_fleet_comings.py::test_the_place_of_a_vehicle_without_a_bridge_is_kept_clear",
             f"{_BRIDGE}test_bridge.py::test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
             "tests/nodes/fleet/test_emergency_stop.py::test_a_vehicle_that_a_dead_bridge_left_armed_is_landed_and_waited_for",
             f"{_BRIDGE}test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",

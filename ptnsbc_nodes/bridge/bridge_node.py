@@ -178,12 +178,12 @@ class NearPublisher:
         self._next_s = 0.0
         self._send = endpoints.publisher(topics.near(uav_id), 1 + edges.options.recorders)
         for other in sorted(set(scenario.uav_ids) - {uav_id}):
-            for topic in (topics.odom(other), topics.track(other)):
-                hear = partial(self._on_odometry, other)
+            for topic, left in ((topics.odom(other), False), (topics.track(other), True)):
+                hear = partial(self._on_odometry, other, left)
                 endpoints.listen(topic, as_bytes(OdometryDecoder()), hear, required=False)
 
-    def _on_odometry(self, uav_id: int, data: bytes) -> None:
-        self._objects.on_odometry(uav_id, time.monotonic(), data)
+    def _on_odometry(self, uav_id: int, left: bool, data: bytes) -> None:
+        self._objects.on_odometry(uav_id, time.monotonic(), data, left=left)
 
     def publish_due(self, bridge: Bridge) -> None:
         """Publish at the rate of the scenario's sensor, once the bridge knows its own odometry."""

@@ -1,9 +1,8 @@
 """Near objects of a vehicle without a sensor for them: the scenario's obstacles and the other UAVs.
 
 A bridge receives the odometry of all UAVs: nobody comes too near to it unseen. `mavlink.near` says which of them its
-UAV avoids: those that it has an edge with (`links`), or all. A UAV that falls silent flies on for a while, and may
-have stopped anywhere on that way; then it is forgotten. Where UAVs come and go it is not: the others fly on, and its
-vehicle may hover.
+UAV avoids: those that it has an edge with (`links`), or all. Everybody avoids a UAV that has left the formation or has
+fallen silent: its vehicle flies on for a while, may have stopped anywhere on that way, and may hover there for good.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from ptnsbc_sim.sensor import near_objects
 
 _MOVING_S = 0.5
 _COASTS_S = 4.0  # ArduCopter follows its last velocity for 3 s, GUID_TIMEOUT, and then brakes
-_FORGET_S = 5.0
+_SILENT_S = 1.0
 _MOST_STOPS = 50
 
 
@@ -32,24 +31,23 @@ class NearObjects:
     def __init__(self, scenario: Scenario, uav_id: int, linked: Collection[int]) -> None:
         """`linked`: ids of the UAVs that share an edge with this one."""
         self._avoided = frozenset(linked if scenario.mavlink.near == "links" else scenario.uav_ids)
-        self._newest: dict[int, tuple[float, bytes]] = {}
+        self._newest: dict[int, tuple[float, bytes, bool]] = {}
         self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
-        self._forget_s = math.inf if scenario.formation.reconfigures else _FORGET_S
         self._scenario = scenario
         self._moving = any(one.path is not None for one in scenario.world.bodies)
         self._bodies = obstacle_rows(scenario, np.full(1, -1.0))[0]
 
-    def on_odometry(self, uav_id: int, now_s: float, data: bytes) -> None:
-        """Keep the odometry of another UAV."""
-        self._newest[uav_id] = (now_s, data)
+    def on_odometry(self, uav_id: int, now_s: float, data: bytes, *, left: bool = False) -> None:
+        """Keep the odometry of another UAV; `left`: it has left the formation."""
+        self._newest[uav_id] = (now_s, data, left)
 
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
         """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the detection range.
 
         `position` (3,) is its own [m], `mission_s` counts from the first epoch: before it moving obstacles stand still.
         """
-        rows = self._known(now_s, self._avoided)
+        rows = self._known(now_s, self._avoided | self._out(now_s))
         away = rows[:, 0:3] - position
         near = rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2]
         bodies = self._bodies
@@ -66,9 +64,13 @@ class NearObjects:
         """The rows (M, 7) of all other UAVs, at any distance, avoided or not."""
         return self._known(now_s, self._keep_out_m)
 
+    def _out(self, now_s: float) -> set[int]:
+        newest = list(self._newest.items())  # a thread adds
+        return {uav for uav, (at_s, _, left) in newest if left or now_s - at_s > _SILENT_S}
+
     def _known(self, now_s: float, which: Collection[int]) -> Array:
-        newest = [one for one in list(self._newest.items()) if one[0] in which]  # a thread adds
-        rows = [self._rows_of(uav, now_s - arrived_s, data) for uav, (arrived_s, data) in newest]
+        newest = [one for one in list(self._newest.items()) if one[0] in which]
+        rows = [self._rows_of(uav, now_s - arrived_s, data) for uav, (arrived_s, data, _) in newest]
         return np.vstack([np.zeros((0, NEAR_COLUMNS)), *rows])
 
     def _rows_of(self, uav_id: int, age_s: float, data: bytes) -> Array:
@@ -77,8 +79,6 @@ class NearObjects:
         Its vehicle may have stopped anywhere on it, at once or when its failsafe has acted.
         """
         nowhere = np.zeros((0, NEAR_COLUMNS))
-        if age_s > self._forget_s:
-            return nowhere
         try:
             odometry = decode_odometry(data).values
         except WireError:

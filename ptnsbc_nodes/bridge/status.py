@@ -29,6 +29,7 @@ from ptnsbc_nodes.emergency import (
     VehicleRecord,
     latch,
     latched,
+    records,
     write_record,
 )
 from ptnsbc_sim.scenario import Scenario
@@ -66,6 +67,12 @@ class OrderDesk:
         self._fixed = VehicleRecord(
             name, os.getpid(), link.sysid, link.autopilot, link.connect, signing_key=key
         )
+        for left in records(folder) if folder else ():  # by a bridge that has died in flight
+            same = (left.name, left.sysid, left.connect) == (name, link.sysid, link.connect)
+            if same and left.orphaned:
+                self._fixed = replace(
+                    left, pid=os.getpid(), signing_key=key, heard=False, ended=False
+                )
         self._bridge, self._folder = bridge, folder
         self._kept, self._kept_s = self._fixed, -math.inf
         self._port = OrderPort(folder, name, self.on_order, self.encode) if folder else None
@@ -111,13 +118,19 @@ def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
     """The knowledge of this bridge about its vehicle now; `fixed` has the part that does not change."""
     vehicle, procedure, peer = bridge.vehicle, bridge.procedure, bridge.link.peer
     silence_s = vehicle.heartbeat_age_s(bridge.ports.steady_s())
+    known = replace(
+        fixed,
+        peer=fixed.peer if peer is None else f"{peer[0]}:{peer[1]}",
+        step=procedure.step.value,
+        order=bridge.ports.inputs.order.text,
+        fault=procedure.fault,
+    )
+    if math.isinf(silence_s):  # not heard yet: only the bridge before it knew something
+        return known
     # After the flight the bridge listens no longer, and the vehicle's last word stands.
     landed = procedure.over and bridge.flew and not vehicle.armed
     return replace(
-        fixed,
-        peer="" if peer is None else f"{peer[0]}:{peer[1]}",
-        step=procedure.step.value,
-        order=bridge.ports.inputs.order.text,
+        known,
         heard=landed or silence_s < HEARTBEAT_LOST_S,
         armed=vehicle.armed,
         landed=bool(vehicle.landed) or (vehicle.armed and procedure.stands),
@@ -125,7 +138,6 @@ def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
         mode=vehicle.mode_name,
         place=bridge.placement.text,
         fate=bridge.fate if vehicle.armed else "",
-        fault=procedure.fault,
     )
 
 

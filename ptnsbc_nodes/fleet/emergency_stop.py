@@ -10,6 +10,7 @@ This module imports no rclpy: an order on this host neither needs the middleware
 
 from __future__ import annotations
 
+import select
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -93,7 +94,9 @@ class _Bridge:
 
     def take(self, record: VehicleRecord) -> None:
         """Its answer."""
-        self.state, self.answered, self.asked_s = record, True, None
+        self.state, self.answered = record, True
+        if record.heard or not record.armed:  # else it cannot tell its vehicle, and is passed by
+            self.asked_s = None
         if self.done_s is None and _obeys(record, self.order):
             self.done_s = time.monotonic()
 
@@ -284,12 +287,10 @@ def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
     if record is None:
         return VehicleOutcome(bridge.name, False, "silent: it was never heard of")
     past = ""
-    if direct is not None and direct.problem:
-        past = f"; not reached past it: {direct.problem}"
-    elif direct is not None and direct.armed is None:
-        past = "; told past it by MAVLink, without an answer"
-    elif direct is not None:
-        past = f"; told past it by MAVLink: {'armed' if direct.armed else 'disarmed'}"
+    if direct is not None:
+        answers = {None: ", without an answer", True: ": armed", False: ": disarmed"}
+        told = f"told past it by MAVLink{answers[direct.armed]}"
+        past = f"; not reached past it: {direct.problem}" if direct.problem else f"; {told}"
     if record.in_pilots_hands and not order.pilots_too:
         text = f"in a pilot's hands, left alone ({record.state}); --all orders it as well"
     elif obeyed and direct is not None:
@@ -302,7 +303,7 @@ def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
         text = "motors stopped" if killed else f"not flying ({record.state})"
         text = f"{text} after {seconds:.2f} s"
     else:
-        if bridge.answered and direct is None:
+        if bridge.answered and not bridge.dead and (direct is None or not record.heard):
             text = f"answers, but the vehicle does not obey: {record.state}{past}"
         elif bridge.dead:
             text = f"silent: the bridge has ended; last: {record.state}{past}"
@@ -334,13 +335,14 @@ def land_left_behind(
     left = {
         record.name: (record, DirectOrder(record, Order(LAND)))
         for record in records(folder)
-        if record.name in names and not (record.alive or record.in_pilots_hands)
         # A vehicle that was told to arm may have done so after the end of its bridge.
-        if record.armed or record.step == Step.ARM.value
+        if record.name in names
+        and (replace(record, armed=True) if record.step == Step.ARM.value else record).orphaned
     }
     began_s = say_s = time.monotonic()
     while left and not told():
-        time.sleep(0.02)
+        links = [direct.link for _, direct in left.values() if direct.link is not None]
+        select.select(links, [], [], _DIRECT_REPEAT_S)
         now_s = time.monotonic()
         for name, (record, direct) in list(left.items()):
             flown = direct.mode is FlightMode.OTHER
@@ -381,7 +383,7 @@ class DirectOrder:
         self._commands = Commands(self._autopilot, record.sysid)
         self._record = record
         self._next_s = 0.0
-        self._link = self._open()
+        self.link = self._open()
 
     def _open(self) -> MavlinkLink | None:
         """The link to the vehicle; None while it cannot be opened, as the port of a bridge that is just ending."""
@@ -406,21 +408,21 @@ class DirectOrder:
         due = now_s >= self._next_s
         if due:
             self._next_s = now_s + _DIRECT_REPEAT_S
-            self._link = self._link or self._open()
-        if self._link is None:
+            self.link = self.link or self._open()
+        if self.link is None:
             return
-        for heartbeat in self._link.poll(now_s):
+        for heartbeat in self.link.poll(now_s):
             if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 self.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 base, custom = heartbeat.base_mode, heartbeat.custom_mode
                 self.mode = FlightMode.named(self._autopilot.mode_name(base, custom))
                 self.heard_s = now_s
         if due and ordering:
-            self._link.send(self._commands.message(next(self._requests), 0.0))
+            self.link.send(self._commands.message(next(self._requests), 0.0))
         elif due:
-            self._link.send(companion_heartbeat())
+            self.link.send(companion_heartbeat())
 
     def close(self) -> None:
         """Close the port."""
-        if self._link is not None:
-            self._link.close()
+        if self.link is not None:
+            self.link.close()

@@ -11,19 +11,15 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.wire import Stamped, decode_odometry
-from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
-from ptnsbc_nodes.comm.qos import STATE_REALTIME
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand, end
-from ptnsbc_nodes.fleet.fleet_node import FleetNode, LauncherNode
+from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.sweep.dry_run import START_M, with_starts_at
 
@@ -31,7 +27,6 @@ Report = Callable[[str], None]
 
 SAME_M = 3 * START_M
 """Vehicles that are so near to where the flight was judged are not judged again: dry runs move starts that much."""
-_POSITIONS_S = 5.0
 _UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
 _LOOK_S = 0.05
 _REMINDER_S = 10.0
@@ -263,11 +258,12 @@ class FlightCheck:
         return objection
 
     def before_start(self) -> str:
-        """Judge the flight from where the vehicles are; in lock-step they are where the file says."""
-        options = self._options
-        if options.objection is None or options.lockstep:
+        """Judge the flight from where the vehicles are; simulated ones are where the file says."""
+        options, known = self._options, self._node.status.places
+        if options.objection is None or options.backend == "sim":
             return ""
-        places = measured_positions(self._node, options.scenario.uav_ids, _POSITIONS_S)
+        names = {uav: f"bridge{uav}" for uav in options.scenario.uav_ids}
+        places = {uav: known[name] for uav, name in names.items() if name in known}
         same = places.keys() == self._judged.keys() and all(
             math.dist(place, self._judged[uav]) <= SAME_M for uav, place in places.items()
         )
@@ -288,29 +284,6 @@ class FlightCheck:
             return "" if judge is None else judge(with_starts_at(self._options.scenario, places))
         except PtnsbcError as error:  # nobody may start from there
             return str(error)
-
-
-def measured_positions(
-    node: FleetNode, uav_ids: Sequence[int], patience_s: float
-) -> dict[int, tuple[float, ...]]:
-    """Measured positions (3,) [m], ENU, in real time; without the UAVs that publish none in this time."""
-    places: dict[int, tuple[float, ...]] = {}
-
-    def keep(uav: int, odometry: Stamped) -> None:
-        places[uav] = tuple(map(float, odometry.values[:3]))
-
-    heard = [
-        node.endpoints.listen(
-            topics.odom(uav), decode_odometry, partial(keep, uav), False, STATE_REALTIME
-        )
-        for uav in uav_ids
-    ]
-    deadline = time.monotonic() + patience_s
-    while len(places) < len(uav_ids) and time.monotonic() < deadline:
-        node.spin(_LOOK_S)
-    for name in heard:
-        node.endpoints.ignore(name)
-    return places
 
 
 class Introduction:

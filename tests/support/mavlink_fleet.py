@@ -195,12 +195,12 @@ class FleetUav:
 
     def on_track(self, stamp_ns, odometry):
         self.tracks.append((self.fleet.now_s, odometry.copy()))
-        self._tell(self.odometry_template.encode(stamp_ns, odometry))
+        self._tell(self.odometry_template.encode(stamp_ns, odometry), left=True)
 
-    def _tell(self, data):
+    def _tell(self, data, *, left=False):
         for other in self.fleet.uavs.values():
             if other is not self:
-                other.near_objects.on_odometry(self.id, self.fleet.now_s, data)
+                other.near_objects.on_odometry(self.id, self.fleet.now_s, data, left=left)
 
     def announce(self, t0_ns, leg):
         self.epochs.announce(t0_ns, leg)

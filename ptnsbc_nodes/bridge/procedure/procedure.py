@@ -243,8 +243,8 @@ def _before_arming(flight: Procedure, now: VehicleSnapshot, stop: str) -> Transi
         return Transition(Step.FAILED, "two vehicles with this system id: give each its own")
     if sets_out and not now.armed and (unfit := now.battery_low or now.fence_breach):
         return Transition(Step.FAILED, f"not armed: {unfit}")
-    if stop:
-        return Transition(Step.LAND if now.armed else Step.DONE)
+    if stop and (math.isfinite(now.heartbeat_age_s) or flight.memory.age_s(now.now_s) > SILENT_S):
+        return Transition(Step.LAND if now.armed else Step.DONE)  # once it knows which
     if sets_out and (now.state_fault or now.controller_age_s > STOP_S):
         return Transition(Step.STATE)  # position or controller were lost again
     if flight.step in (Step.CHECKS, Step.READY, Step.ARM) and now.mode is not FlightMode.OWN:

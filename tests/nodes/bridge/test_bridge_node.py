@@ -1,6 +1,8 @@
 """The bridge as a managed node: when it may be deactivated, and what it tells others of its vehicle."""
 
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -18,6 +20,7 @@ from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_io.wire import OdometryTemplate, checked_near
+from ptnsbc_nodes.bridge import near_objects
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
@@ -31,6 +34,7 @@ from ptnsbc_nodes.emergency import (
     KILL,
     LAND,
     Order,
+    VehicleRecord,
     latch,
     latched,
     list_fleet,
@@ -38,6 +42,7 @@ from ptnsbc_nodes.emergency import (
     release,
     runtime_folder,
     socket_path,
+    write_record,
 )
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet import FleetOptions, _listed
@@ -123,8 +128,10 @@ def test_the_battery_is_published_once_it_is_known(ros, active):
     assert message.header.stamp.sec > 0
 
 
-def test_with_near_links_it_sees_a_vehicle_that_its_uav_does_not_avoid(ros, bridge):
+def test_with_near_links_it_sees_a_vehicle_that_its_uav_does_not_avoid(ros, bridge, monkeypatch):
     """In `figure_eight_4` UAV 3 and UAV 4 share no edge; the separation of the two is watched all the same."""
+    for silence in ("_MOVING_S", "_SILENT_S"):  # on a busy machine nobody has fallen silent
+        monkeypatch.setattr(near_objects, silence, math.inf)
     work = bridge(scenario=load_scenario("figure_eight_4", {"mavlink.near": "links"})).work
     heard, inputs = [], work.bridge.ports.inputs
     viewer = Endpoints(ros.node("viewer"), lockstep=False)
@@ -252,11 +259,52 @@ def test_a_bridge_that_starts_while_an_order_holds_obeys_it(
     work = bridge().work
     assert work.bridge.ports.inputs.order == order
     work.bridge.vehicle.armed, work.bridge.vehicle.mode_name = armed, "OFFBOARD"
+    work.bridge.vehicle.heartbeat_s = time.monotonic()
     work.bridge._tick(time.monotonic())
     procedure = work.bridge.procedure
     assert (procedure.step, procedure.output.command) == (step, command)
     assert f"the operator's order '{order.text}' still holds" in procedure.fault
     assert work.exit_code == 1
+
+
+def left_in_flight(ros, **changes):
+    """The record of a bridge that has died."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    link = load_scenario("experiment_4").bridged().vehicle_link(UAV)
+    known = {"heard": True, "armed": True, "mode": "OFFBOARD"}
+    left = VehicleRecord("bridge3", process.pid, link.sysid, "px4", link.connect, "127.0.0.1:9")
+    write_record(runtime_folder(ros.domain), replace(left, **{**known, **changes}))
+
+
+def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge):
+    """Until it hears the vehicle it answers with that: "no vehicle" had counted as obeyed."""
+    folder = runtime_folder(ros.domain)
+    left_in_flight(ros)
+    list_fleet(folder, ["bridge3"])
+    work = bridge().work
+    operation = EmergencyStop(folder, Order(LAND))
+    try:
+        operation.begin()
+        assert not operation.run(1.3)
+        (outcome,) = operation.outcomes()
+        assert outcome.text.startswith("answers, but the vehicle does not obey: the vehicle is sil")
+        assert "told past it by MAVLink" in outcome.text  # after a second
+    finally:
+        operation.close()
+        list_fleet(folder, [])
+    work.bridge._tick(time.monotonic())
+    assert work.bridge.procedure.step is Step.HEARTBEAT
+    work.bridge.vehicle.heartbeat_s, work.bridge.vehicle.armed = time.monotonic(), True
+    work.bridge.vehicle.mode_name = "OFFBOARD"
+    work.bridge._tick(time.monotonic())
+    assert work.bridge.procedure.step is Step.LAND
+
+
+@pytest.mark.parametrize("changes", [{"armed": False}, {"in_pilots_hands": True}, {"connect": "x"}])
+def test_what_was_not_left_in_flight_is_not_remembered(ros, bridge, changes):
+    left_in_flight(ros, **changes)
+    assert not bridge().work.orders.keep().armed
 
 
 def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridge):

@@ -48,17 +48,6 @@ class Vehicles:
         pass
 
 
-@pytest.fixture(autouse=True)
-def measured(monkeypatch):
-    """The odometry of the vehicles."""
-
-    def positions(vehicles, uav_ids, _patience_s):
-        assert tuple(uav_ids) == IDS
-        return vehicles.measured
-
-    monkeypatch.setattr(takeoff, "measured_positions", positions)
-
-
 def vehicle(step, *, armed=False, landed=False):
     return SimpleNamespace(step=step.value, armed=armed, landed=landed)
 
@@ -120,24 +109,24 @@ def test_in_the_air_a_flight_is_judged_again_only_from_other_places():
     vehicles, (judges, seen) = Vehicles(), judge()
     check = check_of(vehicles, judges)
     check.before_arming()
+    vehicles.places = {f"bridge{i}": place for i, place in vehicles.measured.items()}
     x, y, z = vehicles.measured[3]
-    vehicles.measured[3] = (x + 0.9 * SAME_M, y, z)
+    vehicles.places["bridge3"] = (x + 0.9 * SAME_M, y, z)
     assert check.before_start() == "" and len(seen) == 1
-    vehicles.measured[3] = (x + 1.1 * SAME_M, y, z)
+    vehicles.places["bridge3"] = (x + 1.1 * SAME_M, y, z)
     check.before_start()
-    assert seen[1][3] == pytest.approx(vehicles.measured[3])
-    del vehicles.measured[3]  # its odometry was not heard
+    assert seen[1][3] == pytest.approx((x + 1.1 * SAME_M, y, z))
+    del vehicles.places["bridge3"]  # its bridge was not heard
     check.before_start()
     assert len(seen) == 3
 
 
-def test_simulated_vehicles_are_judged_once_where_they_are():
+def test_simulated_vehicles_are_where_the_file_says():
     vehicles, (judges, seen) = Vehicles(), judge("UAV 2 is late")
     check = check_of(vehicles, judges, backend="sim")
     assert not check.holds
-    assert check.before_start() == "UAV 2 is late"
-    assert seen == [{i: pytest.approx(place) for i, place in vehicles.measured.items()}]
-    assert check_of(vehicles, judges, backend="sim", lockstep=True).before_start() == ""
+    assert check.before_start() == ""
+    assert seen == []
     assert check_of(vehicles, None).before_start() == ""
 
 
@@ -192,8 +181,9 @@ def test_the_launcher_starts_only_what_is_not_refused():
     assert len(vehicles.started) == 1
     with pytest.raises(FleetError, match="stand nothing is armed: UAV 2 is late"):
         launched(Vehicles(), judge("UAV 2 is late")[0])
+    objections = iter(("", "UAV 2 is late"))
     with pytest.raises(FleetError, match=r"measured positions .* UAV 2 is late"):
-        launched(Vehicles(), judge("UAV 2 is late")[0], backend="sim")
+        launched(Vehicles(), lambda _scenario: next(objections))
 
 
 class Loaded:

@@ -310,6 +310,18 @@ def test_one_that_leaves_goes_down_by_its_controller_until_nobody_is_below():
     assert flight.procedure.fault == ""
 
 
+@pytest.mark.parametrize(("armed", "step"), [(True, Step.LAND), (False, Step.DONE)])
+def test_an_order_to_a_bridge_that_begins_waits_for_its_vehicle(armed, step):
+    """It had ended at once, with a vehicle in the air of which it had not heard yet."""
+    flight = Flight().run(2.0, heartbeat_age_s=float("inf"), stop_request="land")
+    assert flight.step is Step.HEARTBEAT
+    flight.obeys = False
+    flight.run(2 * DT, heartbeat_age_s=0.1, armed=armed)
+    assert flight.step is step
+    nobody = Flight().run(11.0, heartbeat_age_s=float("inf"), stop_request="land")
+    assert nobody.step is Step.DONE
+
+
 def test_when_all_land_nobody_waits_for_a_vehicle_below():
     flight = Flight().flying()
     flight.run(2 * DT, leg="land", below="a vehicle below")
