@@ -82,7 +82,6 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/fleet/test_process_list.py": "child_process.py with the options that fleet.py refuses",
     "tests/nodes/uav/test_uav_status.py": "uav_node.py: what a UAV says of itself",
     "tests/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
-    "tests/sim/sweep/test_dask.py": "a sweep on a dask cluster",
     "tests/sim/test_shipped_scenarios.py": "scenarios/",
     "tests/tools/report/test_browser.py": "report/assets/",
 }

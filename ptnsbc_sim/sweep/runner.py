@@ -1,4 +1,4 @@
-"""Flying a sweep: chunks over processes here or over a dask cluster, each written as it is done.
+"""Flying a sweep: chunks over processes, each written as it is done.
 
 A folder holds `plan.json`, `chunks/00000.parquet` … and at the end `table.parquet`. A sweep that was ended
 early is continued from its chunks. The table does not depend on who flew which chunk.
@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -230,7 +230,6 @@ def run(
     folder: Path,
     *,
     workers: int | None = None,
-    scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> SweepResult:
     """Fly a sweep, or what is missing of it.
@@ -239,7 +238,6 @@ def run(
         plan: what to fly.
         folder: of the chunks and the table; with those of the same plan when it exists.
         workers: processes on this machine, by default one for each core.
-        scheduler: address of a dask scheduler whose workers fly instead.
         progress: called with (flights done, flights in all).
 
     Raises:
@@ -269,7 +267,7 @@ def run(
             progress(done, plan.draws)
 
     queue = _Queue(plan, missing, keep)
-    _fly(queue, workers or cores(), scheduler)
+    _fly(queue, workers or cores())
     with replacing(folder / TABLE) as part:
         part.write_bytes(join_chunks(plan, (p.read_bytes() for p in chunks if p.exists())))
     failed = (
@@ -305,14 +303,12 @@ class _Queue:
         self._keep = keep
         self._failures: Counter[tuple[int, bool]] = Counter()
 
-    def settle(
-        self, index: int, fly: Callable[[], bytes], death: type[Exception] = BrokenProcessPool
-    ) -> bool:
+    def settle(self, index: int, fly: Callable[[], bytes]) -> bool:
         """Keep what `fly` gives; True if the worker of the chunk has died."""
         died = False
         try:
             data = fly()
-        except death:
+        except BrokenProcessPool:
             error, died = "its worker process ended", True
         except PtnsbcError as refused:
             error = str(refused)
@@ -329,21 +325,9 @@ class _Queue:
         return died
 
 
-def _fly(queue: _Queue, workers: int, scheduler: str | None) -> None:
-    """Fly all chunks: by a dask cluster, by this process when it is the one worker, or by processes."""
-    if scheduler is not None:
-        try:
-            from distributed import Client
-            from distributed.scheduler import KilledWorker
-        except ImportError:
-            raise SweepError(
-                'scheduler: dask is not installed: pip install "ptnsbc[sweep]"'
-            ) from None
-        with Client(scheduler) as client:
-            while queue.waiting:
-                executor = client.get_executor(pure=False)
-                _execute(queue, executor, len(queue.waiting), KilledWorker)
-    elif workers == 1:
+def _fly(queue: _Queue, workers: int) -> None:
+    """Fly all chunks: by this process when it is the one worker, or by processes."""
+    if workers == 1:
         while queue.waiting:
             index = queue.waiting.popleft()
             queue.settle(index, partial(fly_chunk, queue.text, index))
@@ -359,21 +343,19 @@ def _fly(queue: _Queue, workers: int, scheduler: str | None) -> None:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _execute(
-    queue: _Queue, executor: Executor, most: int, death: type[Exception] = BrokenProcessPool
-) -> None:
-    """Fly chunks by the workers of an executor, `most` at a time, until one ends, which may end its pool."""
+def _execute(queue: _Queue, pool: ProcessPoolExecutor, most: int) -> None:
+    """Fly chunks by the workers of a pool, `most` at a time, until one ends, which ends the pool."""
     running: dict[Future[bytes], int] = {}
     while queue.waiting or running:
         while queue.waiting and len(running) < most:
             index = queue.waiting.popleft()
             with warnings.catch_warnings():  # of threads: those of BLAS, idle
                 warnings.simplefilter("ignore", DeprecationWarning)
-                running[executor.submit(fly_chunk, queue.text, index)] = index
+                running[pool.submit(fly_chunk, queue.text, index)] = index
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            if queue.settle(running.pop(future), future.result, death):
+            if queue.settle(running.pop(future), future.result):
                 for other, index in running.items():
-                    queue.settle(index, other.result, death)
+                    queue.settle(index, other.result)
                 return
 
 

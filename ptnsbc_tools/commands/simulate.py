@@ -199,9 +199,6 @@ def sweep(
     workers: Annotated[
         int | None, option("--workers -j N", "Processes. Default: one per core.", 1, 256)
     ] = None,
-    scheduler: Annotated[
-        str | None, option("--scheduler ADDRESS", "Fly on the workers of this Dask cluster.")
-    ] = None,
     report: Annotated[
         bool, option("--report/--no-report", "Write a page and figures into DIR/report.")
     ] = True,
@@ -220,19 +217,16 @@ def sweep(
     A sweep that was ended early goes on where it ended: give the same command again. Exit code 0: all
     draws were flown, whatever their verdicts are. 1: some draws could not be flown; they are named.
     """
-    from ptnsbc_sim.sweep.draws import SweepError
     from ptnsbc_tools.sweeps import summary
     from ptnsbc_tools.sweeps.summary import read_sweep
 
     if list_families:
         _print_families()
         return
-    if scheduler is not None and workers is not None:
-        raise SweepError("--scheduler: the cluster has its own workers: leave out --workers")
     plan = draws.plan(scenario)
     folder = out or SWEEPS / plan.name
     _clear(folder, plan, overwrite=overwrite)
-    flown = _fly(plan, folder, workers, scheduler)
+    flown = _fly(plan, folder, workers)
     found = read_sweep(folder, strict=strict)
     page = None
     if report:
@@ -271,13 +265,13 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
             made.unlink(missing_ok=True)
 
 
-def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | None) -> SweepResult:
+def _fly(plan: SweepPlan, folder: Path, workers: int | None) -> SweepResult:
     from ptnsbc_sim.sweep.draws import SweepError
     from ptnsbc_tools.library.sweeping import fly_plan
 
     done = [0]
     try:
-        return fly_plan(plan, folder, workers=workers, scheduler=scheduler, count=done.append)
+        return fly_plan(plan, folder, workers=workers, count=done.append)
     except KeyboardInterrupt:
         console.say(
             f"interrupted: {done[-1]} of {plan.draws} flights are kept in {folder}; "
@@ -285,8 +279,7 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
         )
         raise typer.Exit(_INTERRUPTED) from None
     except OSError as error:
-        what = f"scheduler {scheduler}" if scheduler is not None else str(folder)
-        raise SweepError(f"{what}: {error}") from error
+        raise SweepError(f"{folder}: {error}") from error
 
 
 def _show(found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: bool) -> None:

@@ -132,7 +132,6 @@ def fly_plan(
     folder: Path,
     *,
     workers: int | None = None,
-    scheduler: str | None = None,
     progress: bool | None = True,
     count: Callable[[int], None] = lambda done: None,
 ) -> SweepResult:
@@ -143,7 +142,7 @@ def fly_plan(
     """
     with suppress(SweepError):  # a draw that cannot be flown is named later
         refuse_without_memory(draw(plan, 0))
-    if scheduler is None and not (folder / TABLE).exists():
+    if not (folder / TABLE).exists():
         # The sweep's own progress would stand still for a minute.
         with console.compiling(), suppress(PtnsbcError):
             fly_draw(replace(plan, stop_after_s=_MOMENT_S), 0)
@@ -153,7 +152,7 @@ def fly_plan(
             count(done)
             advance(done, total)
 
-        flown = run(plan, folder, workers=workers, scheduler=scheduler, progress=on_progress)
+        flown = run(plan, folder, workers=workers, progress=on_progress)
     if sum(len(one.draws) for one in flown.failed) == plan.draws:
         raise SweepError(f"no draw could be flown: {flown.failed[0].error}")
     return flown
