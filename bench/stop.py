@@ -25,7 +25,7 @@ from ptnsbc_autopilot.fault_lines import send_fault
 from ptnsbc_nodes.emergency import forget_dead, list_fleet, records, release, runtime_folder
 from ptnsbc_nodes.runtime.environment import free_domain
 
-_UAVS, _STRIKES = (1, 2), ("kill", "stop", "restart")
+_UAVS, _STRIKES, _PYTHON = (1, 2), ("kill", "stop", "restart"), (sys.executable, "-m")
 _WITHIN_S, _OBEYED_S, _PATIENCE_S = 5.0, 8.0, 4
 
 
@@ -42,11 +42,12 @@ class Bridges:
         release(folder)
         for uav in _UAVS:
             self.strike(uav, "restart")
-            send_fault(self._control, f"{uav} takeoff now")
         forget_dead(folder)
         list_fleet(folder, [f"bridge{uav}" for uav in _UAVS])
-        while set(self.modes()) != {"HOLD"} or sum(one.armed for one in records(folder)) < 2:
-            time.sleep(0.05)
+        while set(modes := self.modes()) != {"HOLD"} or sum(r.armed for r in records(folder)) < 2:
+            for uav in (uav for uav, mode in zip(_UAVS, modes, strict=True) if not mode):
+                send_fault(self._control, f"{uav} takeoff now")
+            time.sleep(0.5)
 
     def modes(self) -> list[str]:
         """The mode of each vehicle, empty when it is disarmed."""
@@ -60,8 +61,7 @@ class Bridges:
         if what == "restart":
             words = ("ptnsbc_nodes.bridge.bridge_main", "--scenario", self._scenario, "--uav", uav)
             with (self.folder / f"bridge{uav}.log").open("wb") as log:
-                command = [sys.executable, "-m", *map(str, words)]
-                self._processes[uav] = subprocess.Popen(command, stderr=log)
+                self._processes[uav] = subprocess.Popen([*_PYTHON, *map(str, words)], stderr=log)
 
 
 def run_once(bridges: Bridges, order: str, chance: random.Random) -> tuple[str, list[float]]:
