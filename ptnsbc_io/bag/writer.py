@@ -191,15 +191,14 @@ class BagWriter:
         """
         way_out = "choose another name or pass --overwrite"
         check_replaceable(self.directory, overwrite=self._overwrite)
-        if self._part.exists():
-            if not self._overwrite:
-                raise BagError(
-                    f"{self._part} exists, a recording that was killed or still runs: "
-                    f"rescue it with ptnsbc bag repair, {way_out}"
-                )
-            check_replaceable(self._part, overwrite=True)
         try:
             if self._part.exists():
+                if not self._overwrite:
+                    raise BagError(
+                        f"{self._part} exists, a recording that was killed or still runs: "
+                        f"rescue it with ptnsbc bag repair, {way_out}"
+                    )
+                check_replaceable(self._part, overwrite=True)
                 shutil.rmtree(self._part)
             self._part.mkdir(parents=True)
         except OSError as error:

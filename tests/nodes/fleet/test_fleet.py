@@ -331,8 +331,8 @@ def test_no_process_outlives_a_killed_launcher(launch):
 
 @pytest.mark.slow
 def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp_path):
-    (tmp_path / "file").write_text("")
-    flight = launch("--processes", "1", "--bag", str(tmp_path / "file" / "bag"))
+    too_long = "b" * 252  # with the `.part` of the recorder, and of nobody before
+    flight = launch("--processes", "1", "--bag", str(tmp_path / too_long))
     assert flight.finish() == 2
     text = "\n".join(flight.lines)
     assert "before the flight: recorder (pid " in text
