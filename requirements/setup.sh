@@ -118,9 +118,12 @@ make_set() {
   install --require-hashes -r "$lock" || die "$lock could not be installed (see above); repeat with: make setup"
 }
 
-# The wheels of ROS hold the same libraries up to eight times: 70 MB that equal files share.
+# The tests of the large packages take 30 MB, which nobody here runs. The wheels of ROS hold the same libraries up to
+# eight times: 70 MB that equal files share.
 make_runtime() {
   make_set runtime
+  find .venv/lib/python*/site-packages/{matplotlib,numba,numpy,scipy} -type d -name tests -prune \
+    -exec rm -r {} + 2>/dev/null || true
   ! command -v hardlink >/dev/null || hardlink --quiet --ignore-time .venv || true
 }
 
