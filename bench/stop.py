@@ -47,7 +47,7 @@ class Bridges:
         while set(modes := self.modes()) != {"HOLD"} or sum(r.armed for r in records(folder)) < 2:
             for uav in (uav for uav, mode in zip(_UAVS, modes, strict=True) if not mode):
                 send_fault(self._control, f"{uav} takeoff now")
-            time.sleep(0.5)
+            time.sleep(0.5)  # the stand-ins tell their state when asked, and give no notice
 
     def modes(self) -> list[str]:
         """The mode of each vehicle, empty when it is disarmed."""
@@ -89,7 +89,7 @@ def run_once(bridges: Bridges, order: str, chance: random.Random) -> tuple[str, 
             for uav, mode in zip(_UAVS, bridges.modes(), strict=True):
                 if not mode or (order == "land" and mode == "LAND"):
                     seconds.setdefault(uav, now_s - pressed_s)
-            time.sleep(0.01)
+            time.sleep(0.01)  # the same; it bounds the error of the times
         code = terminal.process.wait(PATIENCE_S)
         if len(seconds) < len(_UAVS):
             print(terminal.log.read_text(), flush=True)

@@ -45,7 +45,7 @@ def odometry(place):
 
 
 class CountedEndpoints:
-    """What was sent on each topic, and a number of readers that the test sets."""
+    """The messages sent on each topic, and a number of readers that the test sets."""
 
     fleet = ""
 
