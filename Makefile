@@ -4,8 +4,8 @@ SHELL := /bin/bash
 .PHONY: help setup test slow repeat fuzz demo docs site results commands bench lint format colcon wheels clean
 
 BIN  := .venv/bin
-# Workers of the test run; `make test JOBS=1` runs in one process. Two more than cores: tests wait for processes they started.
-JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 6 ? 8 : n + 2)))
+# Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
+JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 7 ? 8 : n + 1)))
 # More for the command behind a target: make test ARGS="-k frames", make demo ARGS="--help"
 ARGS ?=
 # make repeat: how often the whole suite runs, and how often the part that starts processes

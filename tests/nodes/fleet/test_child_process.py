@@ -130,6 +130,7 @@ signal.pause()
 """
 
 
+@pytest.mark.slow
 def test_a_process_reports_that_it_runs_and_that_it_has_finished_before_it_ends(program):
     child = program(REPORTS)
     until = time.monotonic() + 60.0

@@ -34,6 +34,7 @@ def counts(bag):
     return {name: topic.messages for name, topic in bag.topics.items()}
 
 
+@pytest.mark.slow
 def test_a_lockstep_flight_has_the_bytes_of_the_headless_one(launch, tmp_path):
     """All UAVs in one process: those that have their own send the same, as a slow test shows."""
     flight = launch("--duration", "0.5", "--processes", "1", "--bag", str(tmp_path / "bag"))

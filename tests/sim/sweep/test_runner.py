@@ -142,6 +142,7 @@ def test_flights_of_a_law_that_the_user_has_changed_are_not_mixed(tmp_path: Path
         run(plan, folder, workers=1)
 
 
+@pytest.mark.slow
 def test_a_chunk_that_fails_is_tried_once_more_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -272,17 +272,18 @@ def test_ready_waits_for_a_key(bridge, middleware, monkeypatch, capsys):
     master, terminal = pty.openpty()
     with os.fdopen(terminal) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        looks = []
+        printed = ""
 
-        def spin(_seconds):
-            looks.append(1)
-            if len(looks) == 20:
+        def press_when_ready(_seconds):
+            nonlocal printed
+            printed += capsys.readouterr().err
+            if "ready:" in printed:
                 os.write(master, b"x")
 
-        middleware.spin = spin
+        middleware.spin = press_when_ready
         assert give(kill=True, ready=True) == 0
     os.close(master)
-    printed = capsys.readouterr().err
+    printed += capsys.readouterr().err
     assert "ready: any key: STOP ALL MOTORS: bridge1 by its socket (Ctrl-C: no order)" in printed
     assert "bridge1: motors stopped after 0." in printed
 
