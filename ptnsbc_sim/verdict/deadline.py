@@ -107,14 +107,6 @@ def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -
     return ", ".join(holes)
 
 
-def silent_from_s(recording: Recording, uav: int) -> float | None:
-    """Time after the epoch from which a UAV's process published no counters; None when it did to the end."""
-    counters = recording.counters.get(uav)
-    if counters is None or seconds(recording.end_ns - counters.last_ns) <= LOST_S:
-        return None
-    return float(seconds(counters.last_ns - recording.start_ns))
-
-
 def _broken_from_s(recording: Recording) -> dict[int, float]:
     """The time after the epoch of the first odometry or wrench that is not finite, of the UAVs that have such a one."""
     broken: dict[int, float] = {}
@@ -401,11 +393,12 @@ def _unrecovered(figures: ErrorFigures) -> Reason | None:
 
 
 def _broken_promise(figures: ErrorFigures) -> str:
-    """The recovery time that was not enough, in words; empty when all were."""
-    regain = figures.unregained()
-    if regain is None:
-        return ""
-    return f" that ended at {regain.over_s:.2f} s, in {regain.promised_s:.2f} s"
+    """The first recovery time that was not enough, in words; empty when all were."""
+    slack_s = 1.5 * seconds(figures.recording.scenario.timing.dt_ns)
+    for regain in figures.regains:
+        if regain.outside_s is not None and regain.took_s > regain.promised_s - slack_s:
+            return f" that ended at {regain.over_s:.2f} s, in {regain.promised_s:.2f} s"
+    return ""
 
 
 def _before(figures: ErrorFigures) -> list[Reason]:
@@ -419,11 +412,12 @@ def _before(figures: ErrorFigures) -> list[Reason]:
     needed = dict.fromkeys([*ancestors(recording.flown, uav), leader])
     if scenario.formation.reconfigures:
         needed = {uav: None}  # the others go on without the lost one
-    reasons = [
-        Cause.SILENT.because(uav=other, t_s=t_s)
-        for other in needed
-        if (t_s := silent_from_s(recording, other)) is not None
-    ]
+    reasons = []
+    for other in needed:
+        counters = recording.counters.get(other)
+        if counters is not None and seconds(recording.end_ns - counters.last_ns) > LOST_S:
+            t_s = seconds(counters.last_ns - recording.start_ns)
+            reasons.append(Cause.SILENT.because(uav=other, t_s=t_s))
     excusable = scenario.lossy or scenario.formation.reconfigures
     begin_ns, end_ns = (recording.start_ns + nanoseconds(t_s) for t_s in span)
     rises = counter_rises(recording, begin_ns, end_ns)[uav]

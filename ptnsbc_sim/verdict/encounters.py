@@ -62,12 +62,27 @@ def recovery_s(scenario: Scenario, error_m: float) -> float:
     With `approach: task` there is no time base of the way back: three time constants and a second. Of unlike vehicles
     it is that of the slowest.
     """
-    recovery = _recovery(scenario)
+    recovery = _recovery(_Alike(scenario))
     return max(recovery(uav, error_m) for uav in scenario.uav_ids)
 
 
-def _recovery(scenario: Scenario) -> Callable[[int, float], float]:
+class _Alike:
+    """A scenario as the key of what is the same for all that differ in starts only, as the flights of a sweep do."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+
+    def __hash__(self) -> int:
+        return id(self.scenario.topology)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Alike) and self.scenario.shares_all_but_starts(other.scenario)
+
+
+@lru_cache(maxsize=4)
+def _recovery(alike: _Alike) -> Callable[[int, float], float]:
     """`recovery_s` of a UAV by its id."""
+    scenario = alike.scenario
     loop = gain_of(scenario.gains, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
@@ -75,10 +90,7 @@ def _recovery(scenario: Scenario) -> Callable[[int, float], float]:
         constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
         return lambda *_: constant
     configs, rest_s = recovery_configs(scenario), min(settling, _SLOWEST_RECOVERY_S)
-    return lambda uav, error_m: _duration(error_m, configs[uav]) + rest_s
-
-
-_duration = lru_cache(maxsize=1024)(recovery_duration)  # a window counts for all below its UAV
+    return lambda uav, error_m: recovery_duration(error_m, configs[uav]) + rest_s
 
 
 def rising(counters: Mapping[int, Track], name: str) -> dict[int, list[Window]]:
@@ -128,16 +140,12 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     ends = sorted({end for _, end in windows})
     if not ends:
         return {uav: [] for uav in scenario.uav_ids}
-    place = {end: k for k, end in enumerate(ends)}
-    off = dict(zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True))
-    recovery = _recovery(scenario)
+    recovery = _recovery(_Alike(scenario))
+    back_s = {  # of every UAV, by the end of the encounter
+        uav: {end: recovery(uav, error_m) for end, error_m in zip(ends, off, strict=True)}
+        for uav, off in zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True)
+    }
     cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
-
-    def encounter(window: Window, uavs: Iterable[int]) -> Encounter:
-        """A window, and the way back of the slowest of these UAVs."""
-        begin, end = window
-        back_s = max(recovery(uav, off[uav][place[end]]) for uav in uavs)
-        return Encounter(begin, end, end + nanoseconds(back_s))
 
     result = {}
     for uav in scenario.uav_ids:
@@ -145,13 +153,12 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
         for phase, (from_ns, until_ns) in zip(recording.phases, pairwise(cuts_ns), strict=True):
             line = ancestors(phase.scenario, uav)
             for hops, ancestor in enumerate(line):
-                spans += [
-                    encounter(window, line[: hops + 1])
-                    for window in own.get(ancestor, ())
-                    if window[1] >= from_ns and window[0] < until_ns
-                ]
+                for begin, end in own.get(ancestor, ()):
+                    if end >= from_ns and begin < until_ns:  # the slowest of them is back last
+                        slowest_s = max([back_s[other][end] for other in line[: hops + 1]])
+                        spans.append(Encounter(begin, end, end + nanoseconds(slowest_s)))
         # A UAV that comes has its own deadline, and disturbs nobody.
-        spans += [encounter(window, (uav,)) for window in away[uav]]
+        spans += [Encounter(a, b, b + nanoseconds(back_s[uav][b])) for a, b in away[uav]]
         result[uav] = _joined(spans)
     return result
 

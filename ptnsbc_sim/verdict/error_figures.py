@@ -105,14 +105,6 @@ class ErrorFigures:
         late = settled is None or settled > self.deadline_s
         return late and at is not None and at <= self.tolerance
 
-    def unregained(self) -> Regain | None:
-        """The first encounter after which the place was not regained in the recovery time; None: none."""
-        period_s = seconds(self.recording.scenario.timing.dt_ns)
-        for one in self.regains:
-            if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
-                return one
-        return None
-
     def longest_regain(self) -> Regain | None:
         """Of the encounters that the leg outlasts the one after which the place was regained last."""
         done = [one for one in self.regains if one.over_s + one.promised_s <= self.end_s]

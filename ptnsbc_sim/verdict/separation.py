@@ -62,16 +62,19 @@ def separations(recording: Recording, block: Instants) -> list[Separation]:
     until_s = seconds(block.until_ns - recording.first_ns)
     closest = []
     for uav, others, keep_outs, apart in distances(recording.scenario, block.positions, times):
-        at = apart.argmin(axis=1)  # the first NaN, if there is one
-        if not np.isfinite(apart.min(axis=1)).all():  # NaN is neither near nor far
+        rows, at = np.arange(len(apart)), apart.argmin(axis=1)  # the first NaN, if there is one
+        least = apart[rows, at]
+        if not np.isfinite(least).all():  # NaN is neither near nor far
             apart = np.where(np.isfinite(apart), apart, np.inf)
             at = apart.argmin(axis=1)
-        least, at_s = apart.min(axis=1).tolist(), times[at].tolist()
-        for k, (other, keep_out_m) in enumerate(zip(others, keep_outs.tolist(), strict=True)):
+            least = apart[rows, at]
+        at_s = times[at].tolist()
+        pairs = zip(others, keep_outs.tolist(), least.tolist(), strict=True)
+        for k, (other, keep_out_m, distance_m) in enumerate(pairs):
             inside_s = 0.0
-            if least[k] < keep_out_m:
+            if distance_m < keep_out_m:
                 inside_s = float(np.diff(times, append=until_s)[apart[k] < keep_out_m].sum())
-            closest.append(Separation(uav, other, least[k], at_s[k], keep_out_m, inside_s))
+            closest.append(Separation(uav, other, distance_m, at_s[k], keep_out_m, inside_s))
     return closest
 
 

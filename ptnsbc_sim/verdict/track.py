@@ -21,7 +21,10 @@ BLOCK = 8192
 def lengths(vectors: Array) -> Array:
     """Euclidean lengths (...) of vectors (3, ...): the bits of `numpy.linalg.norm` in a third of its time."""
     x, y, z = vectors
-    return np.asarray(np.sqrt(x * x + y * y + z * z), dtype=np.float64)
+    square = x * x
+    square += y * y  # in place: a third array of this size costs as much as the sum
+    square += z * z
+    return np.asarray(np.sqrt(square), dtype=np.float64)
 
 
 def max_of(first: float | None, second: float) -> float:

@@ -17,7 +17,6 @@ from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, ScheduledLeg, is_cut_short
-from ptnsbc_sim.scenario.model import plant_of
 from ptnsbc_sim.verdict.deadline import (
     KEPT,
     MET,
@@ -68,10 +67,10 @@ def efforts(recording: Recording) -> dict[int, Effort]:
     An input acts until the next one that is recorded: a missing message takes no time out of an integral.
     """
     scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
-    masses = {uav.id: plant_of(scenario.plant, uav).mass_kg for uav in scenario.uavs}
     found: dict[int, Effort] = {}
     for uavs, track in together(recording.wrench):
-        weights = scenario.world.gravity_m_s2 * np.array([masses[uav] for uav in uavs])
+        masses = np.array([scenario.vehicle(uav).mass_kg for uav in uavs])
+        weights = scenario.world.gravity_m_s2 * masses
         initial: tuple[Array, Array] | None = None  # |u| and force above the weight
         peak = peak_force = np.full(len(uavs), -np.inf)
         peak_at_s, energy, above_hover = np.zeros((3, len(uavs)))
@@ -100,7 +99,7 @@ def efforts(recording: Recording) -> dict[int, Effort]:
             low = square < _NEARLY * square.max(axis=1, keepdims=True)  # of a NaN nothing is low
             whole = np.hypot(force, torque, out=np.full_like(force, -np.inf), where=~low)
             highest = whole.argmax(axis=1)  # the first NaN, if there is one
-            most = whole.max(axis=1)
+            most = whole[np.arange(len(uavs)), highest]
             higher = (most > peak) | (np.isnan(most) > np.isnan(peak))
             peak = np.where(higher, most, peak)
             times = seconds_since(block.t_ns[inside:], start_ns)

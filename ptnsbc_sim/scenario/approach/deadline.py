@@ -216,20 +216,23 @@ def _candidates(places: bytes, errors: bytes, clear: bytes) -> tuple[float, ...]
     return candidates(Pairs(ends, ways, np.frombuffer(clear)))
 
 
+_newest: list[tuple[ScenarioFile, float]] = []  # a flight and its verdict ask for the same turn
+
+
 def turn_of(file: ScenarioFile) -> float:
     """The turn of the planned approach [rad]: that of the scenario, or the first open one that its deadline allows."""
     if file.formation.turn_rad is not None:
         return float(file.formation.turn_rad)
-    turns = _open_turns(file)
-    if len(turns) == 1:
-        return turns[0]
-    limits, deadline_s = limits_left(file), float(file.gains.formation.deadline_s)
-    if min(limits) <= 0.0:
-        return 0.0
-    for turn in turns:
-        if _RESERVE * max(_bounds(file, starts_of(file), limits, turn).values()) <= deadline_s:
+    for known, turn in _newest:
+        if known is file:
             return turn
-    return 0.0
+    turns, allowed = _open_turns(file), 0.0
+    if len(turns) > 1 and min(limits := limits_left(file)) > 0.0:
+        starts, deadline_s = starts_of(file), float(file.gains.formation.deadline_s)
+        longest = ((turn, max(_bounds(file, starts, limits, turn).values())) for turn in turns)
+        allowed = next((turn for turn, need in longest if _RESERVE * need <= deadline_s), 0.0)
+    _newest[:] = [(file, allowed)]
+    return allowed
 
 
 def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, float]:
