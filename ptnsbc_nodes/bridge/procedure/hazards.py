@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from inspect import unwrap
 from typing import NamedTuple
 
 import numpy as np
@@ -178,7 +179,8 @@ class LeaderReference:
 
     def at(self, flight_s: float) -> Reference:
         """The leader's motion so many seconds after the first epoch; before it, that of the epoch."""
-        return reference(self.config.trajectory, max(flight_s, 0.0))
+        # Interpreted: one point takes no longer, and a bridge needs no compiler for a leader on a circle.
+        return unwrap(reference)(self.config.trajectory, max(flight_s, 0.0))
 
     def place_velocity(self, flight_s: float) -> Array:
         """Velocity (3,) [m/s] of the vehicle's place: that of the leader's reference, and that of a shape that moves.
@@ -186,7 +188,7 @@ class LeaderReference:
         Where slots are open a bridge does not hear who takes which, and the leader's has to do.
         """
         config, t = self.config, max(flight_s, 0.0)
-        velocity = np.array(reference(config.trajectory, t).velocity)
+        velocity = np.array(self.at(t).velocity)
         if config.shape.moving and not self._scenario.formation.has_open_slots:
             velocity += places(config.shape, config.trajectory, t).own.velocity
         return velocity

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from inspect import unwrap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -198,7 +199,8 @@ class SetpointStream:
         self._messages = SetpointMessages(autopilot, link.sysid)
         self.attitude = AttitudeTargets(config.controller, mavlink.hover_thrust)
         self.attitude.thrust_test.over = not autopilot.attitude_only
-        self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
+        heading = unwrap(reference)(config.trajectory, 0.0).yaw  # without the compiler
+        self.climb = _Climb(mavlink.takeoff_height_m, heading)
         self._integral = _VelocityIntegral()
         self.drag = DragEstimator(config.controller.gravity)
         self.following = FollowingEstimator()

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from scipy.signal import bilinear_zpk, sosfilt, sosfilt_zi, tf2zpk, zpk2sos
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
@@ -125,55 +124,64 @@ def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
 
 
 class _Filter:
-    """A transfer function in discrete time on horizontal vectors (2,), in sections of second order.
+    """Two transfer functions with one denominator, the second per unit of drag, on horizontal vectors (2,).
 
-    In one piece its coefficients lose what the sixth power of a short period leaves of them.
+    Tustin: x' = A x + B u, y = C x + D u in the companion form, where a steady value stands in the first entry of x
+    alone. Time counts in periods, so that all coefficients are of one size.
     """
 
-    def __init__(self, transfer: Transfer, period_s: float) -> None:
-        above, below = transfer.above.trim().coef, transfer.below.trim().coef
-        # Without an integral the vehicle's loop and its lead have an s in common.
-        while above[0] == 0.0 and below[0] == 0.0:
-            above, below = above[1:], below[1:]
-        self._sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
-        self._rest = sosfilt_zi(self._sections)[:, None, :]
-        self._memory: Array | None = None  # (sections, 2, 2) two numbers per section and axis
+    def __init__(self, transfers: tuple[Transfer, Transfer], period_s: float) -> None:
+        below = transfers[0].below.trim().coef
+        # Without an integral the vehicle's loop and its lead have powers of s in common.
+        common = int(np.flatnonzero(below)[0])
+        order = len(below) - common - 1
+        units = period_s ** np.arange(order, -1.0, -1.0) / below[-1]
+        above = np.zeros((2, order + 1))
+        for row, transfer in zip(above, transfers, strict=True):
+            coefficients = transfer.above.trim().coef[common:]
+            row[: len(coefficients)] = coefficients
+        below, above = below[common:] * units, above * units
+        half = 0.5 * np.eye(order, k=1)
+        half[-1] -= 0.5 * below[:-1]
+        inverse = np.linalg.inv(np.eye(order) - half)
+        self._next, self._input = inverse @ (np.eye(order) + half), inverse[:, -1:]
+        self._out = (above[:, :-1] - above[:, -1:] * below[:-1]) @ inverse
+        self._through = above[:, -1:] + 0.5 * self._out[:, -1:]
+        self._rest = np.eye(order, 1) / below[0]
+        self._state: Array | None = None  # (order, 2)
 
     def restart(self) -> None:
         """The next value has been there for ever."""
-        self._memory = None
+        self._state = None
 
-    def step(self, value: Array) -> Array:
-        if self._memory is None:
-            self._memory = self._rest * value[:, None]
-        out, self._memory = sosfilt(self._sections, value[:, None], zi=self._memory)
-        return np.asarray(out[:, 0])
+    def step(self, value: Array, drag_1_s: float) -> Array:
+        state = self._rest * value if self._state is None else self._state
+        self._state = self._next @ state + self._input * value
+        still, dragged = self._out @ state + self._through * value
+        return np.asarray(still + drag_1_s * dragged)
 
 
 class VelocityLead:
     """Velocity and acceleration setpoints of one vehicle for the velocities that the planner wants."""
 
     def __init__(self, response: VelocityResponse, period_s: float) -> None:
-        made = inverse(response)
-        self._acceleration = [_Filter(transfer, period_s) for transfer in made.acceleration]
-        self._velocity = [_Filter(transfer, period_s) for transfer in made.velocity or ()]
+        velocity, acceleration = inverse(response)
+        self._acceleration = _Filter(acceleration, period_s)
+        self._velocity = None if velocity is None else _Filter(velocity, period_s)
 
     def restart(self) -> None:
         """The next velocity begins a new sequence."""
-        for part in (*self._velocity, *self._acceleration):
-            part.restart()
+        self._acceleration.restart()
+        if self._velocity is not None:
+            self._velocity.restart()
 
     def setpoint(self, wanted: Array, drag_1_s: float) -> tuple[Array, Array]:
         """Velocity (2,) [m/s] and acceleration (2,) [m/s^2] to send one period after those before.
 
         `wanted` (2,) is the horizontal velocity [m/s, ENU] that the vehicle is meant to fly.
         """
-        velocity = wanted
-        if self._velocity:
-            still, dragged = self._velocity
-            velocity = wanted + still.step(wanted) + drag_1_s * dragged.step(wanted)
-        still, dragged = self._acceleration
-        return velocity, still.step(wanted) + drag_1_s * dragged.step(wanted)
+        ahead = 0.0 if self._velocity is None else self._velocity.step(wanted, drag_1_s)
+        return wanted + ahead, self._acceleration.step(wanted, drag_1_s)
 
 
 class DragEstimator:
