@@ -254,17 +254,28 @@ def _store(context: Any, builder: Any, place: Any, kind: Any, value: Any, copy: 
             inner = cgutils.gep_inbounds(builder, place, 0, k)
             _store(context, builder, inner, part, builder.extract_value(value, k), copy)
         return
-    if isinstance(kind, types.Array):
+    if copy and isinstance(kind, types.Array):
         array = make_array(kind)(context, builder, value)
-        if copy:
-            there = make_array(kind)(context, builder, builder.load(place)).data
-            with builder.if_then(builder.icmp_unsigned("!=", there, array.data)):
-                size = builder.mul(array.nitems, array.itemsize)
-                cgutils.raw_memmove(builder, there, array.data, size, 1)
-            return
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)
-        value = array._getvalue()
+        there = make_array(kind)(context, builder, builder.load(place)).data
+        with builder.if_then(builder.icmp_unsigned("!=", there, array.data)):
+            size = builder.mul(array.nitems, array.itemsize)
+            cgutils.raw_memmove(builder, there, array.data, size, 1)
+        return
     context.pack_value(builder, kind, value, place)
+
+
+def _load(context: Any, builder: Any, kind: Any, place: Any) -> Any:
+    """Read a value. Its arrays have no count of references: told so, the compiler leaves out the calls that count."""
+    if isinstance(kind, types.BaseTuple):
+        places = (cgutils.gep_inbounds(builder, place, 0, k) for k in range(len(kind)))
+        parts = [_load(context, builder, *part) for part in zip(kind, places, strict=True)]
+        return context.make_tuple(builder, kind, parts)
+    value = context.unpack_value(builder, kind, place)
+    if not isinstance(kind, types.Array):
+        return value
+    array = make_array(kind)(context, builder, value)
+    array.meminfo = cgutils.get_null_value(array.meminfo.type)
+    return array._getvalue()
 
 
 @infer_getattr
@@ -281,7 +292,7 @@ def _get_field(context: Any, builder: Any, kind: Any, value: Any, name: str) -> 
     place = cgutils.gep_inbounds(builder, _typed(context, builder, value, kind.target), 0, at)
     if isinstance(part, Pointer):
         return builder.bitcast(place, cgutils.voidptr_t)
-    return context.unpack_value(builder, part, place)
+    return _load(context, builder, part, place)
 
 
 @infer_global(operator.getitem)

@@ -161,9 +161,7 @@ def leader_estimate(
         goes_on = state.estimate_valid and not waits
         return present if goes_on else _at_rest(state.estimate), state.estimate_valid
     if waits or not state.estimate_valid:
-        share = (
-            1.0 / terms
-        )  # g is the sum of the differences from what was received: this is its mean
+        share = 1.0 / terms  # g is the sum of the differences from what was received
         position = axpy(-share, g.position, present.position)
         velocity = axpy(-share, g.velocity, present.velocity)
         return Estimate(position, velocity, wrap_angle(present.yaw - share * g.yaw)), True

@@ -110,9 +110,8 @@ def _control(
     config: AgentConfig,
 ) -> ControlInput:
     """Force and torque by the controller of the plant's kind."""
-    inner = Clock(
-        clock.start_t, clock.start_t, clock.dt
-    )  # only the first epoch starts the inner loops
+    # only the first epoch starts the inner loops
+    inner = Clock(clock.start_t, clock.start_t, clock.dt)
     own, before, controller = inputs.own, state.adapted, config.controller
     if controller.plant == PLANT_RIGID_BODY:
         return rigid_body_control(own, command, before, inner, controller)

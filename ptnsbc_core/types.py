@@ -353,9 +353,7 @@ class Behaviour(NamedTuple):
     velocity: Vector3  # [m/s, ENU]
     error: Vector3  # sigma_d - sigma, the task's own units
     singular_value: float
-    acceleration: (
-        Vector3  # [m/s^2, ENU] rate of `velocity` while the plan is kept: the filter's lead
-    )
+    acceleration: Vector3  # [m/s^2, ENU] rate of `velocity` on the plan: the filter's lead
     slot_start: Vector3  # [m, ENU] start error that the plan of this epoch uses
     edge_start: Vector3  # [m, ENU] likewise, relative to the parent
     beside: Beside

@@ -40,9 +40,7 @@ class HeadlessFlight(NamedTuple):
     scenario: Scenario
     t_ns: NDArray[np.int64]  # (T,)
     swarm: SwarmState  # as it is at the end
-    slots: Mapping[
-        int, int
-    ]  # slot of every UAV, decided at the epoch; empty where each has its own
+    slots: Mapping[int, int]  # of every UAV, decided at the epoch; empty where each has its own
 
     @property
     def track(self) -> FlightTrack:

@@ -169,9 +169,7 @@ def set_based(
             store3(normals[count], 0, rows.normals[m])
             count += 1
     jacobian, velocity = normals[:count], (0.0, 0.0, 0.0)
-    if (
-        count > 0
-    ):  # J^+ b is the part of the admissible velocity in the row space of the binding normals
+    if count > 0:  # J^+ b: the part of the admissible velocity in the row space of the binding n
         velocity = sub3(admissible, matvec(null_space_projector(jacobian), admissible))
     return ClearanceTask(velocity, jacobian, secondary, after)
 
@@ -218,9 +216,8 @@ def clearance(
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, view, config)
     if config.rule == AVOIDANCE_OFF or _unconstrained(position, velocity, view, config):
-        no_rows = view.memory[:0].reshape(
-            0, 3
-        )  # a new array would cost an allocation at every tick
+        # a new array would cost an allocation at every tick
+        no_rows = view.memory[:0].reshape(0, 3)
         return ClearanceTask((0.0, 0.0, 0.0), no_rows, velocity, view.memory)
     return set_based(position, velocity, view, config)
 
