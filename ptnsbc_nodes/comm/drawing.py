@@ -6,7 +6,7 @@ The markers are UAVs, trails, keep-outs, obstacles, edges of the tree, and the l
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi
 from typing import Any
 
@@ -36,7 +36,6 @@ _PATH = (0.95, 0.55, 0.1, 0.5)
 _TRAIL_OPACITY = 0.8
 _UAV_DIAMETER_M = 0.4
 _LINE_M = 0.04
-_WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _FORMS = {"sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _PATH_POINTS = 200
 TRAIL_POINTS = 6 * STATUS_HZ
@@ -53,15 +52,22 @@ class Scene:
     The edges of the tree are drawn where every UAV has its own slot.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(
+        self, scenario: Scenario, colours: Mapping[int, Sequence[float]] | None = None
+    ) -> None:
+        """`colours` of the UAVs: red, green, blue, opacity; without them the leader differs from the others."""
         ids = scenario.uav_ids
+        if colours is None:
+            colours = {i: _LEADER if i == scenario.leader.id else _FOLLOWER for i in ids}
         self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
         drawn = () if scenario.formation.has_open_slots else ids
         tree = {i: scenario.communication.parent(i) for i in drawn}
         edges = [end for edge in tree.items() if edge[1] is not None for end in edge]
         self._rows = [ids.index(uav) for uav in (*ids, *ids, *edges) if uav is not None]
         self._moving = [k for k, body in enumerate(scenario.world.bodies) if body.path is not None]
-        self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(edges)))))
+        self._buffer = bytearray(
+            encode(MarkerArray(markers=_all_markers(scenario, colours, len(edges))))
+        )
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
         places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
         trails = len(ids) * TRAIL_POINTS  # the last places; points of a trail are side by side
@@ -119,12 +125,13 @@ class OdometryMarkers:
         return self._scene.markers(stamp_ns, places, scenario.world.body_positions(since_s))
 
 
-def _all_markers(scenario: Scenario, tree_points: int) -> list[Any]:
+def _all_markers(
+    scenario: Scenario, colours: Mapping[int, Sequence[float]], tree_points: int
+) -> list[Any]:
     """Every marker, with placeholders for values that change: the UAVs, their keep-outs, the ends of the
     tree's edges, the obstacles that move, then the trails of the UAVs.
     """
     somewhere, ids, leader = np.array(_SOMEWHERE), scenario.uav_ids, scenario.leader.id
-    colours = {i: _LEADER if i == leader else _FOLLOWER for i in ids}
     spheres = [("uavs", i, _UAV_DIAMETER_M, colours[i]) for i in ids]
     # Two UAVs whose spheres touch are at their least distance.
     spheres += [("keep_outs", i, scenario.keep_out_m(i), _AROUND) for i in ids]
@@ -137,7 +144,7 @@ def _all_markers(scenario: Scenario, tree_points: int) -> list[Any]:
     shown.append(_line("tree", 0, Marker.LINE_LIST, _EDGE, tree_points * [somewhere]))
     for number, body in enumerate(scenario.world.bodies):  # keep-outs of spheres, others themselves
         marker = _marker("obstacles", number, _FORMS.get(body.kind, Marker.CUBE), _KEEP_OUT)
-        edges, centre, (x, y, z, w) = body.drawn(_WITHOUT_END_M)
+        edges, centre, (x, y, z, w) = body.drawn()
         marker.scale.x, marker.scale.y, marker.scale.z = (float(edge) for edge in edges)
         marker.pose.position = _point(centre if body.path is None else somewhere)
         marker.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)

@@ -62,6 +62,7 @@ _NEEDED = {
     "map": ("samples", "file: NAME and resolution_m, or the boxes"),
 }
 _THIN_M = 0.02  # as thick as a surface is drawn
+_WITHOUT_END_M = 100.0  # as large as a plane or an endless cylinder is drawn
 _OWN = tuple(dict.fromkeys(key for keys in _KEYS.values() for key in keys))
 
 
@@ -208,7 +209,7 @@ class Obstacle:
         beside /= np.linalg.norm(beside)
         return np.stack([beside, np.cross(normal, beside), normal], axis=1)
 
-    def drawn(self, without_end_m: float) -> Drawing:
+    def drawn(self) -> Drawing:
         """As a ball, box or cylinder to draw: of a sphere its keep-out, of all others the body."""
         from scipy.spatial.transform import Rotation  # late: half a second
 
@@ -216,9 +217,9 @@ class Obstacle:
         if self.kind == "sphere":
             size = np.full(3, 2.0 * self.keep_out_m)
         elif self.kind == "cylinder":
-            size = np.array([size[0], size[0], min(size[1], without_end_m)])
+            size = np.array([size[0], size[0], min(size[1], _WITHOUT_END_M)])
         elif self.kind != "box":
-            size = np.array([without_end_m, without_end_m, _THIN_M])
+            size = np.array([_WITHOUT_END_M, _WITHOUT_END_M, _THIN_M])
             centre = centre if self.kind == "plane" else centre - 0.5 * _THIN_M * self.axes[:, 2]
         x, y, z, w = Rotation.from_matrix(self.axes).as_quat()
         return Drawing(size, centre, (float(x), float(y), float(z), float(w)))

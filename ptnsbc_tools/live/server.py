@@ -14,19 +14,24 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from string import Template
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag.metadata import definition
+from ptnsbc_io.wire import Stamped, transform_of
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import ros
 from ptnsbc_tools.plotting.charts import COLOURS, look
@@ -58,13 +63,6 @@ _HEADERS = {
     "X-Frame-Options": "DENY",
     "Connection": "close",
 }
-
-
-_WORLD = "map"
-_UAV_M = 0.4
-_WITHOUT_END_M = 100.0  # of planes and endless cylinders
-_LEVEL = (0.0, 0.0, 0.0, 1.0)  # quaternion
-_KEEP_OUT = (0.5, 0.5, 0.5, 0.35)  # red, green, blue, opacity
 
 
 class Feed:
@@ -156,10 +154,6 @@ def live_page() -> str:
     )
 
 
-class LiveServerError(PtnsbcError):
-    """The page cannot be served."""
-
-
 class LiveServer:
     """Serves the page that `page` makes, and feeds it; use it as a context manager. Port 0: a free one."""
 
@@ -181,7 +175,7 @@ class LiveServer:
                 server_header=None,
             )
         except OSError as error:
-            raise LiveServerError(
+            raise PtnsbcError(
                 f"--port {port}: {error.strerror or error}: expected a free port, or 0 for any"
             ) from None
         self.port = int(self._server.socket.getsockname()[1])
@@ -290,30 +284,43 @@ def order_in(data: str | bytes, token: str) -> str | None:
     return str(found["order"]) if known and permitted else None
 
 
-class FoxgloveSink:
-    """Publishes every frame on a port of this host; use it as a context manager.
+def colours_of(scenario: Scenario) -> dict[int, tuple[float, ...]]:
+    """Red, green, blue and opacity of every UAV, as in figures and on the page."""
+    chosen = {uav: COLOURS[look(row).colour] for row, uav in enumerate(scenario.uav_ids)}
+    return {
+        uav: (*(int(word[at : at + 2], 16) / 255 for at in (1, 3, 5)), 1.0)
+        for uav, word in chosen.items()
+    }
 
-    Topics: `/scene` (foxglove.SceneUpdate), `/tf` (foxglove.FrameTransforms), `/formation/live` (JSON: the frame).
-    PtnsbcError when foxglove-sdk is not installed, or the port is taken.
+
+class FoxgloveSink:
+    """Publishes every frame on a port of this host, as a bag holds it; use it as a context manager.
+
+    Topics: `/scene` (MarkerArray), `/tf` (TFMessage), `/formation/live` (JSON: the frame). A UAV that was not heard yet
+    is drawn at its start. PtnsbcError when foxglove-sdk is not installed, or the port is taken.
     """
 
     def __init__(self, scenario: Scenario, port: int) -> None:
-        self._scenario = scenario
-        self._sdk = ros.library("foxglove", "--foxglove", "foxglove")
-        self._kinds = ros.library("foxglove.messages", "--foxglove", "foxglove")
-        channels = ros.library("foxglove.channels", "--foxglove", "foxglove")
-        self._context = self._sdk.Context()
-        self._scene = channels.SceneUpdateChannel("/scene", context=self._context)
-        self._frames = channels.FrameTransformsChannel("/tf", context=self._context)
-        self._numbers = self._sdk.Channel(
-            "/formation/live", message_encoding="json", context=self._context
-        )
+        sdk = ros.library("foxglove", "--foxglove", "foxglove")
+        with ros.required():
+            from ptnsbc_nodes.comm.drawing import Scene
+        self._scenario, self._scene = scenario, Scene(scenario, colours_of(scenario))
+        self._messages = {uav: AgentMessages(uav) for uav in scenario.uav_ids}
+        self._context = context = sdk.Context()  # its channels go with it
+
+        def channel(name: str, kind: str) -> Any:
+            schema = sdk.Schema(name=kind, encoding="ros2msg", data=definition(kind).text.encode())
+            return sdk.Channel(name, schema=schema, message_encoding="cdr", context=context)
+
+        self._markers = channel("/scene", topics.MARKERS.type)
+        self._transforms = channel(topics.TF.name, topics.TF.type)
+        self._numbers = sdk.Channel("/formation/live", message_encoding="json", context=context)
         try:
-            self._server = self._sdk.start_server(
-                name=f"ptnsbc {scenario.name}", host=HOST, port=port, context=self._context
+            self._server = sdk.start_server(
+                name=f"ptnsbc {scenario.name}", host=HOST, port=port, context=context
             )
         except (RuntimeError, OSError) as error:
-            raise LiveServerError(
+            raise PtnsbcError(
                 f"--foxglove {port}: {' '.join(str(error).split())}: expected a free port"
             ) from None
 
@@ -326,62 +333,12 @@ class FoxgloveSink:
     def __call__(self, frame: dict[str, Any]) -> None:
         """Publish a frame."""
         self._numbers.log(frame)
-        kinds, flying = self._kinds, [uav for uav in frame["uavs"] if uav["pose"] is not None]
-        turns = [
-            kinds.FrameTransform(
-                parent_frame_id=_WORLD,
-                child_frame_id=f"uav{uav['id']}/base_link",
-                translation=self._made("Vector3", "xyz", uav["pose"][:3]),
-                rotation=self._made("Quaternion", "xyzw", uav["pose"][3:]),
-            )
-            for uav in flying
-        ]
-        self._frames.log(kinds.FrameTransforms(transforms=turns))
-        entities = [self._uav(uav) for uav in flying]
-        since_s = max(float(frame.get("t") or 0.0), 0.0)
-        self._scene.log(kinds.SceneUpdate(entities=[*entities, self._obstacles(since_s)]))
-
-    def _made(self, kind: str, names: str, values: Iterable[float]) -> Any:
-        """A message of Foxglove with these fields."""
-        return getattr(self._kinds, kind)(**dict(zip(names, map(float, values), strict=True)))
-
-    def _body(
-        self, place: Any, turn: Iterable[float], size: Any, colour: Iterable[float]
-    ) -> dict[str, Any]:
-        """Pose, size and colour of a primitive."""
-        position = self._made("Vector3", "xyz", place)
-        orientation = self._made("Quaternion", "xyzw", turn)
-        return {
-            "pose": self._kinds.Pose(position=position, orientation=orientation),
-            "size": self._made("Vector3", "xyz", size),
-            "color": self._made("Color", "rgba", colour),
-        }
-
-    def _sphere(self, place: Any, diameter: float, colour: Iterable[float]) -> Any:
-        return self._kinds.SpherePrimitive(**self._body(place, _LEVEL, [diameter] * 3, colour))
-
-    def _uav(self, uav: dict[str, Any]) -> Any:
-        chosen = COLOURS[look(self._scenario.uav_ids.index(uav["id"])).colour]
-        colour = (*(int(chosen[at : at + 2], 16) / 255 for at in (1, 3, 5)), 1.0)
-        sphere = self._sphere(uav["pose"][:3], _UAV_M, colour)
-        return self._kinds.SceneEntity(frame_id=_WORLD, id=f"uav{uav['id']}", spheres=[sphere])
-
-    def _obstacles(self, since_s: float) -> Any:
-        kinds, bodies = self._kinds, self._scenario.world.bodies
-        places = self._scenario.world.body_positions(since_s)
-        spheres, cubes, cylinders = [], [], []
-        for body, place in zip(bodies, places, strict=True):
-            if body.kind == "sphere":
-                spheres.append(self._sphere(place, 2.0 * body.keep_out_m, _KEEP_OUT))
-                continue
-            drawn = body.drawn(_WITHOUT_END_M)
-            keys = self._body(
-                drawn.centre - body.position + place, drawn.quaternion, drawn.size, _KEEP_OUT
-            )
-            if body.kind == "cylinder":
-                cylinders.append(kinds.CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **keys))
-            else:
-                cubes.append(kinds.CubePrimitive(**keys))
-        return kinds.SceneEntity(
-            frame_id=_WORLD, id="obstacles", spheres=spheres, cubes=cubes, cylinders=cylinders
-        )
+        scenario, stamp_ns = self._scenario, time.time_ns()
+        poses = {uav["id"]: uav["pose"] for uav in frame["uavs"] if uav["pose"] is not None}
+        for uav, pose in poses.items():
+            odometry = np.array([*pose, *[0.0] * 6])
+            told = self._messages[uav].odometry(Stamped(stamp_ns, odometry))
+            self._transforms.log(transform_of(told) or b"")
+        places = [poses.get(uav.id, uav.position_m)[:3] for uav in scenario.uavs]
+        bodies = scenario.world.body_positions(max(float(frame.get("t") or 0.0), 0.0))
+        self._markers.log(self._scene.markers(stamp_ns, np.array(places), bodies))

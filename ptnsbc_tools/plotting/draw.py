@@ -41,7 +41,6 @@ _HEIGHT = 0.6  # of a figure for a column, of its width
 _COLUMN_FONT = 8.0
 _DPI = 110
 _PATH_POINTS = 4000
-_WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _UPRIGHT = 0.7  # part of the normal along the line of sight from which on a surface is not drawn
 _EDGE = 0.03  # of the time shown: words of a mark nearer to its end stand before it
 _TITLE = 110  # letters in a line
@@ -61,10 +60,6 @@ _UNDATED: dict[str, dict[str, None]] = {
 }
 # Journals take no fonts of type 3.
 _FILES = {"svg.hashsalt": "ptnsbc", "pdf.fonttype": 42, "ps.fonttype": 42}
-
-
-class FigureError(PtnsbcError):
-    """A figure that cannot be drawn."""
 
 
 def _style(of: Look) -> dict[str, Any]:
@@ -171,10 +166,10 @@ def figure_of(chart: Chart, heading: str, columns: str | None = None) -> Any:
 
 
 def format_of(path: Path) -> str:
-    """The suffix of a figure, one of FORMATS; raise FigureError for any other."""
+    """The suffix of a figure, one of FORMATS; raise PtnsbcError for any other."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
-        raise FigureError(
+        raise PtnsbcError(
             f"{path}: suffix {kind or 'missing'}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
         )
     return kind
@@ -295,7 +290,7 @@ def _outline(
 
     style: dict[str, Any] = {"color": OBSTACLE, "alpha": alpha, "linewidth": 1.0}
     [across] = {0, 1, 2} - set(view)
-    body = obstacle.drawn(_WITHOUT_END_M)
+    body = obstacle.drawn()
     if obstacle.kind == "sphere" or (obstacle.kind == "cylinder" and across == 2):
         axes.add_artist(Circle((centre[view[0]], centre[view[1]]), 0.5 * body.size[0], **style))
     elif obstacle.kind in ("box", "cylinder") or abs(obstacle.axes[across, 2]) < _UPRIGHT:

@@ -47,7 +47,6 @@ _FRAME_HZ = 25  # the script interpolates between frames
 _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
 _MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
 _PATH_POINTS = 400
-_WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that moves
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
@@ -160,7 +159,7 @@ def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any
                 "place": one.position.tolist(),
                 "way": way,
                 "keepOut": float(one.keep_out_m),
-                "half": (0.5 * one.drawn(_WITHOUT_END_M).size).tolist(),
+                "half": (0.5 * one.drawn().size).tolist(),
                 "axes": one.axes.ravel().tolist(),
             }
         )

@@ -77,15 +77,17 @@ def test_the_axes_of_a_surface_are_a_rotation_with_its_normal(kind, normal) -> N
 
 
 def test_what_is_drawn() -> None:
-    ball = obstacle(position_m=[1, 2, 3]).drawn(50.0)
+    ball = obstacle(position_m=[1, 2, 3]).drawn()
     assert (ball.size.tolist(), ball.quaternion) == ([1.0, 1.0, 1.0], (0.0, 0.0, 0.0, 1.0))
-    assert obstacle(**{key: WALL[key] for key in WALL if key != "name"}).drawn(
-        50.0
-    ).size.tolist() == [4, 2, 6]
+    assert obstacle(**{key: WALL[key] for key in WALL if key != "name"}).drawn().size.tolist() == [
+        4,
+        2,
+        6,
+    ]
     pole = obstacle(kind="cylinder", position_m=[0, 0, 0], radius_m=0.5)
-    assert pole.drawn(50.0).size.tolist() == [1.0, 1.0, 50.0]
-    ground = obstacle(kind="ground", height_m=2.0).drawn(50.0)
-    assert ground.size[:2].tolist() == [50.0, 50.0]
+    assert pole.drawn().size.tolist() == [1.0, 1.0, 100.0]
+    ground = obstacle(kind="ground", height_m=2.0).drawn()
+    assert ground.size[:2].tolist() == [100.0, 100.0]
     assert ground.centre[2] == pytest.approx(2.0 - 0.5 * ground.size[2])
 
 

@@ -13,6 +13,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.live.server import (
     HOST,
@@ -20,7 +21,6 @@ from ptnsbc_tools.live.server import (
     Feed,
     FoxgloveSink,
     LiveServer,
-    LiveServerError,
     order_in,
 )
 
@@ -160,7 +160,7 @@ def test_a_page_that_sends_nonsense_harms_no_other(server: LiveServer) -> None:
 
 
 def test_a_port_that_is_taken_is_named(server: LiveServer) -> None:
-    with pytest.raises(LiveServerError, match=f"--port {server.port}: .*: expected a free port"):
+    with pytest.raises(PtnsbcError, match=f"--port {server.port}: .*: expected a free port"):
         LiveServer(Feed(), str, server.port)
 
 
@@ -193,5 +193,5 @@ def test_a_port_for_foxglove_that_is_taken_is_named() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(LiveServerError, match=f"--foxglove {port}"):
+        with pytest.raises(PtnsbcError, match=f"--foxglove {port}"):
             FoxgloveSink(SCENARIO, port)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rclpy.serialization import deserialize_message
+from visualization_msgs.msg import MarkerArray
 
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
+from ptnsbc_nodes.comm.drawing import Scene
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_nodes.uav.uav_controller import StepTime
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.verdict import Recording, Track
-from ptnsbc_tools.live.server import FoxgloveSink
+from ptnsbc_tools.live.server import colours_of
 from ptnsbc_tools.live.watch import stage
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import (
@@ -222,20 +224,17 @@ def in_paths(recording: Recording) -> dict[int, str]:
 
 
 def in_foxglove(scenario: Scenario) -> dict[int, str]:
-    """Messages that the sink draws, as namespaces of their fields, without its server."""
-
-    class Kinds:
-        def __getattr__(self, _: str) -> Any:
-            return SimpleNamespace
-
-    sink = FoxgloveSink.__new__(FoxgloveSink)
-    sink._scenario, sink._kinds = scenario, Kinds()
-    found = {}
-    for uav in scenario.uav_ids:
-        drawn: Any = sink._uav({"id": uav, "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]})
-        colour = drawn.spheres[0].color
-        found[uav] = hexadecimal(np.rint([255 * colour.r, 255 * colour.g, 255 * colour.b]))
-    return found
+    places, bodies = np.zeros((len(scenario.uav_ids), 3)), scenario.world.body_positions(0.0)
+    drawn = Scene(scenario, colours_of(scenario)).markers(0, places, bodies)
+    colours = {
+        one.id: one.color
+        for one in deserialize_message(drawn, MarkerArray).markers
+        if one.ns == "uavs"
+    }
+    return {
+        uav: hexadecimal(np.rint([255 * colour.r, 255 * colour.g, 255 * colour.b]))
+        for uav, colour in colours.items()
+    }
 
 
 def test_a_uav_has_the_same_colour_everywhere(fly: Callable[..., Recording]) -> None:
