@@ -14,7 +14,7 @@ from mcap.writer import CompressionType
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag import BagMessage, BagWriter, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -96,7 +96,7 @@ class Bags:
         self._folder = folder
         sample = read_bag(ROOT / "bags" / "sample")
         self._scenario = sample.attachment("scenario.yaml")
-        self._topics = [TopicInfo(one.name, one.type) for one in sample.topics.values()]
+        self._topics = [declare(one.name, one.type) for one in sample.topics.values()]
         self._messages = [one for one in sample.messages() if one.stamp_ns <= _SAMPLE_NS]
         self.sound = [self._written(self._messages, one) for one in CompressionType]
 

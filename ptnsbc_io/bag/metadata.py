@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -132,16 +132,6 @@ def _from_table(package: str, name: str) -> Mapping[str, str]:
     return entry
 
 
-class TopicInfo(NamedTuple):
-    """A topic of a bag and the quality of service that its publisher offers."""
-
-    name: str
-    type: str  # package/msg/Name
-    reliability: Literal["reliable", "best_effort"] = "reliable"
-    durability: Literal["volatile", "transient_local"] = "volatile"
-    depth: int = 10  # keep last
-
-
 class TopicDeclaration(NamedTuple):
     """A topic with all that a bag holds about it."""
 
@@ -172,29 +162,26 @@ class FileSummary(NamedTuple):
     messages: int
 
 
-def qos_profiles(topic: TopicInfo) -> list[dict[str, Any]]:
-    """`offered_qos_profiles` of version 9."""
-    return [
-        {
-            "history": "keep_last",
-            "depth": topic.depth,
-            "reliability": topic.reliability,
-            "durability": topic.durability,
-            "deadline": dict(_INFINITE),
-            "lifespan": dict(_INFINITE),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(_INFINITE),
-            "avoid_ros_namespace_conventions": False,
-        }
-    ]
+def declare(
+    name: str, kind: str, *, reliable: bool = True, latched: bool = False, depth: int = 10
+) -> TopicDeclaration:
+    """A topic of type `package/msg/Name`, with the quality of service that its publisher offers, as of version 9.
 
-
-def declare(topic: TopicInfo) -> TopicDeclaration:
-    """The declaration of a topic; BagError when the definition of its type is not known."""
-    text, type_hash = definition(topic.type)
-    return TopicDeclaration(
-        topic.name, topic.type, text.encode(), type_hash=type_hash, qos=qos_profiles(topic)
-    )
+    BagError when the definition of its type is not known.
+    """
+    text, type_hash = definition(kind)
+    profile = {
+        "history": "keep_last",
+        "depth": depth,
+        "reliability": "reliable" if reliable else "best_effort",
+        "durability": "transient_local" if latched else "volatile",
+        "deadline": dict(_INFINITE),
+        "lifespan": dict(_INFINITE),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(_INFINITE),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return TopicDeclaration(name, kind, text.encode(), type_hash=type_hash, qos=[profile])
 
 
 def bag_information(

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_core.nanoseconds import seconds
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage, MessageRecord, walk
 from ptnsbc_io.bag.metadata import (
@@ -180,20 +180,24 @@ def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
 def trim(
     path: Path,
     target: Path,
-    begin_ns: int,
-    end_ns: int,
+    begin_s: float = 0.0,
+    end_s: float | None = None,
     *,
     overwrite: bool = False,
     advance: Progress = lambda done, total: None,
 ) -> int:
-    """Write the messages from `begin_ns` to `end_ns` (log time, both included) into a new bag; returns their number.
+    """Write the messages of a span into a new bag; returns their number.
 
-    Messages of latched topics from before `begin_ns`, such as epochs, are kept with their times: they hold on.
+    It begins and ends so many seconds after the first message by log time, both included; None: with the last one.
+
+    Messages of latched topics from before the span, such as epochs, are kept with their times: they hold on.
 
     Raises:
         BagError: no bag, or no message in this span.
     """
     bag = read_bag(path)
+    begin_ns = bag.start_ns + nanoseconds(begin_s)
+    end_ns = bag.end_ns if end_s is None else bag.start_ns + nanoseconds(end_s)
     latched = {name for name, topic in bag.topics.items() if is_latched(topic.offered_qos)}
 
     def kept() -> Iterator[BagMessage]:

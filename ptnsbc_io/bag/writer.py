@@ -26,9 +26,7 @@ from ptnsbc_io.bag.metadata import (
     BagError,
     FileSummary,
     TopicDeclaration,
-    TopicInfo,
     bag_information,
-    declare,
     to_yaml,
 )
 
@@ -142,7 +140,7 @@ class BagWriter:
     def __init__(
         self,
         directory: Path,
-        topics: Sequence[TopicInfo | TopicDeclaration],
+        topics: Sequence[TopicDeclaration],
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
@@ -157,7 +155,7 @@ class BagWriter:
             METADATA_RECORD: dict(sorted((metadata or {}).items()))
         }
         self._part = self.directory.with_name(self.directory.name + ".part")
-        self._topics = [t if isinstance(t, TopicDeclaration) else declare(t) for t in topics]
+        self._topics = list(topics)
         self._attachments = dict(attachments or {})
         self._compression = compression
         self._overwrite = overwrite
@@ -207,17 +205,16 @@ class BagWriter:
         with self._guard:
             self._file = self._next_file()
 
-    def add(self, topic: TopicInfo) -> None:
+    def add(self, topic: TopicDeclaration) -> None:
         """Add a topic that was not known at the start."""
         if self._file is None:
             raise BagError(f"{self.directory}: topic {topic.name}: expected an open bag")
-        declared = declare(topic)
         if topic.name not in self._numbers:
             self._numbers[topic.name] = len(self._topics)
-            self._topics.append(declared)
+            self._topics.append(topic)
             self._counts.append(0)
             with self._guard:
-                self._file.declare(declared)
+                self._file.declare(topic)
 
     def write(
         self,

@@ -31,10 +31,6 @@ _FLUSH_S = 1.0
 _REPORT_S = 0.5
 
 
-class PlayError(PtnsbcError):
-    """A bag that cannot be played."""
-
-
 @dataclass(frozen=True)
 class PlayOptions:
     """The bag to play, and how it is played."""
@@ -66,7 +62,7 @@ def play(
     """Play a bag; SIGINT and SIGTERM end the playback in order.
 
     Raises:
-        PlayError: no topic of it can be published, or it ends before `start_s`.
+        PtnsbcError: no topic of it can be published, or it ends before `start_s`.
     """
     with StopRequest() as stop, plain_node("player") as (node, _):
         player = _Player(node, bag, options, stop, say)
@@ -89,11 +85,11 @@ class _Player:
         self._played = Played()
         self._publishers: dict[str, Publisher] = dict(_publishers(node, bag, options, say))
         if not self._publishers:
-            raise PlayError(f"{bag.path}: no topic to play: {', '.join(options.topics)} chosen")
+            raise PtnsbcError(f"{bag.path}: no topic to play: {', '.join(options.topics)} chosen")
         self._start_ns = bag.start_ns + nanoseconds(options.start_s)
         if self._start_ns > bag.end_ns:
             length = seconds(bag.end_ns - bag.start_ns)
-            raise PlayError(
+            raise PtnsbcError(
                 f"start {options.start_s:g} s: expected less than the {length:.3f} s of the bag"
             )
         self._clock = None

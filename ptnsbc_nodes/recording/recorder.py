@@ -9,10 +9,8 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from inspect import Parameter, Signature
-from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -22,7 +20,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo
+from ptnsbc_io.bag import BagError, BagWriter, TopicDeclaration, declare
 from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import Transforms
@@ -30,7 +28,6 @@ from ptnsbc_nodes.comm.door import Door, Refusals, as_bytes
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
 from ptnsbc_nodes.runtime.node_process import BoundedSpin, plain_node
-from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.runtime.signals import StopRequest
 
 Derive = Callable[[str, bytes], bytes | None]
@@ -173,16 +170,14 @@ class BagRecorder:
         }
 
 
-def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicInfo:
+def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicDeclaration:
     """The description of a topic in a bag, by the weakest profile that its publishers offer."""
-    reliable = all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered)
-    latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-    return TopicInfo(
+    return declare(
         name,
         kind,
-        "reliable" if reliable else "best_effort",
-        "transient_local" if latched else "volatile",
-        max([1, *(qos.depth for qos in offered)]),  # discovery does not tell every depth
+        reliable=all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered),
+        latched=all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered),
+        depth=max([1, *(qos.depth for qos in offered)]),  # discovery does not tell every depth
     )
 
 
@@ -199,68 +194,48 @@ def stamp_of(topic: Topic, data: bytes) -> int | None:
     return stamp_ns if stamp_ns is not None and stamp_ns >= 0 else None
 
 
-def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
+def topic_info(topic: Topic, *, lockstep: bool) -> TopicDeclaration:
     """The description of `topic` in a bag: the profile that its publishers offer."""
     return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
 
 
-OURS = (
-    *("/uav*/odom", "/uav*/near", "/uav*/formation_state", "/uav*/leader_estimate"),
-    *("/uav*/setpoint/*", "/uav*/tick", "/uav*/snapshot"),
-    *("/formation/epoch", "/formation/slots", "/formation/markers"),
-    *("/diagnostics", "/clock", "/tf"),
+OURS = tuple(
+    topic.name.replace("/uav0/", "/uav*/")
+    for topic in topics.in_bag(
+        [0], lockstep=False, with_truth=True, with_slots=True, with_stream=True
+    )
 )
 """Topics of a flight, as patterns."""
-
 _LOOK_S = 0.5  # between two looks for new topics
 _QUEUE = 1000
 _DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
 OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
 
 
-class RecordError(PtnsbcError):
-    """A recording without a single message."""
-
-
-@dataclass(frozen=True)
-class RecordOptions:
-    """The topics to record, and how they are recorded."""
-
-    bag: Path
-    topics: Sequence[str] = OURS  # patterns
-    limits: SplitLimits = field(default_factory=SplitLimits)
-    overwrite: bool = False
-    duration_s: float | None = None  # None: until a signal
-    attachments: Mapping[str, bytes] = field(default_factory=dict)
-    meta: Mapping[str, str] = field(default_factory=dict)
-
-
-def record(options: RecordOptions, say: Callable[[str], None]) -> Mapping[str, Any]:
-    """Record until the time is over or a signal comes; returns what was recorded.
+def record(
+    writer: BagWriter,
+    patterns: Sequence[str],
+    say: Callable[[str], None],
+    duration_s: float | None = None,
+) -> Mapping[str, Any]:
+    """Record topics of these names into a bag until the time is over or a signal comes; returns what was recorded.
 
     Raises:
         BagError: the bag cannot be written.
-        RecordError: not one message came.
+        PtnsbcError: not one message came.
     """
     with StopRequest() as stop, plain_node("record") as (node, executor):
-        with BagWriter(
-            options.bag,
-            [],
-            attachments=options.attachments,
-            metadata={"mode": "beside", **provenance(), **options.meta},
-            overwrite=options.overwrite,
-            limits=options.limits,
-        ) as writer:
-            recorder = TopicRecorder(node, writer, options.topics, say)
+        with writer:
+            recorder = TopicRecorder(node, writer, patterns, say)
             say("ready")
-            end = time.monotonic() + (options.duration_s or float("inf"))
+            end = time.monotonic() + (duration_s or float("inf"))
             recorder.serve(executor, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
         found = recorder.summary(interrupted=stop.came)
         if refused := recorder.refusals.report():
             say(refused)
     if not found["messages"]:
-        raise RecordError(
-            f"no message on {', '.join(options.topics)}: does a fleet run in this ROS domain? "
+        raise PtnsbcError(
+            f"no message on {', '.join(patterns)}: does a fleet run in this ROS domain? "
             f"the empty bag is in {writer.directory}"
         )
     return found
@@ -295,11 +270,9 @@ class TopicRecorder(BagRecorder):
                 self._add(Topic(name, types[0], Role.STATE), offered)
 
     def _add(self, topic: Topic, offered: Sequence[QoSProfile]) -> None:
-        info = describe(topic.name, topic.type, offered)
-        reliable = info.reliability == "reliable"
-        latched = info.durability == "transient_local"
         try:
-            self._writer.add(info)
+            declared = describe(topic.name, topic.type, offered)
+            self._writer.add(declared)
             topics.message_class(topic)
         except (BagError, ImportError, AttributeError) as error:
             self._say(f"{topic.name} is left out: {error}")
@@ -316,7 +289,10 @@ class TopicRecorder(BagRecorder):
                 return None if topics.TF.name in self._known else made
 
             derived.append((topics.TF.name, transform))
-        record = self.on_arrival(topic, derived)
-        self.subscribe(
-            topic, topic.name, record, qos.keep_last(_QUEUE, reliable=reliable, latched=latched)
+        (offer,) = declared.qos
+        profile = qos.keep_last(
+            _QUEUE,
+            reliable=offer["reliability"] == "reliable",
+            latched=offer["durability"] == "transient_local",
         )
+        self.subscribe(topic, topic.name, self.on_arrival(topic, derived), profile)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -211,27 +211,29 @@ def record(
     Ctrl-C completes the bag. Topics that appear later are recorded from then on.
     """
     with ros.required():
-        from ptnsbc_io.bag import SplitLimits
+        from ptnsbc_io.bag import BagWriter, SplitLimits
         from ptnsbc_nodes.recording import recorder
-    size = None if split_size is None else round(split_size * _MEGABYTE)
-    length = None if split_duration is None else round(split_duration * 1e9)
-    about: dict[str, Any] = {}
+        from ptnsbc_nodes.runtime.provenance import provenance
+    about, attachments = {"mode": "beside", **provenance()}, dict[str, bytes]()
     if scenario is not None:
         from ptnsbc_sim.scenario import load_scenario
         from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
         flown = load_scenario(scenario)
-        about["attachments"] = {SCENARIO_ATTACHMENT: flown.text.encode()}
-        about["meta"] = {"scenario": flown.name}
-    request = recorder.RecordOptions(
-        bag=output or Path(f"bag-{datetime.now():%Y%m%d-%H%M%S}"),
-        topics=tuple(topics or recorder.OURS),
-        limits=SplitLimits(size, length),
+        attachments[SCENARIO_ATTACHMENT] = flown.text.encode()
+        about["scenario"] = flown.name
+    writer = BagWriter(
+        output or Path(f"bag-{datetime.now():%Y%m%d-%H%M%S}"),
+        [],
+        attachments=attachments,
+        metadata=about,
         overwrite=overwrite,
-        duration_s=duration,
-        **about,
+        limits=SplitLimits(
+            None if split_size is None else round(split_size * _MEGABYTE),
+            None if split_duration is None else round(split_duration * 1e9),
+        ),
     )
-    done = recorder.record(request, console.say)
+    done = recorder.record(writer, topics or recorder.OURS, console.say, duration)
     if json:
         console.print_json(done)
         return

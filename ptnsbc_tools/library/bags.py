@@ -6,8 +6,6 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ptnsbc_core.nanoseconds import nanoseconds
-from ptnsbc_io.bag import read_bag
 from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
@@ -48,14 +46,9 @@ def trim(
     """
     refuse_outside("begin_s", begin_s)
     refuse_outside("end_s", end_s)
-    found = read_bag(Path(bag))
-    first_ns = found.start_ns + nanoseconds(begin_s)
-    last_ns = found.end_ns
-    if end_s is not None:
-        last_ns = found.start_ns + nanoseconds(end_s)
     with console.progress("trimming", progress) as advance:
         return repairs.trim(
-            Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance
+            Path(bag), Path(output), begin_s, end_s, overwrite=overwrite, advance=advance
         )
 
 

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the benchmark is in no wheel
 
 from bench.digests import topic_digests
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagWriter, declare
 
 SAMPLE = Path(__file__).parents[2] / "bags" / "sample"
 
@@ -29,7 +29,7 @@ def test_every_topic_of_a_bag_has_a_digest(tmp_path):
 
 def test_stamps_and_bytes_count(tmp_path):
     def digest(name, stamp_ns, data):
-        with BagWriter(tmp_path / name, [TopicInfo("/a", "std_msgs/msg/Header")]) as writer:
+        with BagWriter(tmp_path / name, [declare("/a", "std_msgs/msg/Header")]) as writer:
             writer.write("/a", stamp_ns, data)
         return topic_digests(tmp_path / name)["/a"]
 

@@ -10,7 +10,7 @@ from synthetic_flights import flight
 pytest.importorskip("rclpy")
 
 from bench.signals import BridgeSteps, _exit_codes, _separations, _steps, _until_started
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagWriter, declare
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
 from ptnsbc_sim.verdict.recording import VerdictError
@@ -41,7 +41,7 @@ def test_a_pause_that_leaves_a_flying_vehicle_to_its_failsafe_is_told_by_the_exi
 
 
 def test_the_steps_of_a_bridge_are_those_before_and_after_its_setpoints_stopped(tmp_path):
-    with BagWriter(tmp_path / "bag", [TopicInfo(DIAGNOSTICS.name, DIAGNOSTICS.type)]) as writer:
+    with BagWriter(tmp_path / "bag", [declare(DIAGNOSTICS.name, DIAGNOSTICS.type)]) as writer:
         for stamp_ns, step in ((1, "taking off"), (2, "a"), (3, "b"), (600_000_000, "c")):
             for bridge in (3, 4):
                 values = {"step": step if bridge == 3 else "landing"}

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagWriter, declare
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate
 
@@ -79,7 +79,7 @@ def _holes(stamps: list[int]) -> int:
 def _write(bag: Path) -> None:
     """Write as the recorder does, by a clock of its own, and tell every tick, until killed."""
     template = HeaderTemplate("count")
-    topics = [TopicInfo(f"/topic{k}", "std_msgs/msg/Header") for k in range(5)]
+    topics = [declare(f"/topic{k}", "std_msgs/msg/Header") for k in range(5)]
     with BagWriter(bag, topics) as writer:
         for tick in itertools.count():
             for topic in topics:

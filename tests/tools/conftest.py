@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from synthetic_flights import counters, flight, thinned
 
-from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag import BagMessage, BagWriter, declare, read_bag
 from ptnsbc_io.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
@@ -158,7 +158,7 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
 def realtime(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("realtime") / "flight"
     recorded = topics.recorded(scenario.uav_ids, lockstep=False)
-    infos = [TopicInfo(topic.name, topic.type) for topic in recorded]
+    infos = [declare(topic.name, topic.type) for topic in recorded]
     with BagWriter(path, infos, attachments={"scenario.yaml": scenario.text.encode()}) as writer:
         _real_time(scenario, writer)
     return path
@@ -171,7 +171,7 @@ def rewritten(tmp_path: Path) -> Callable[[Path, Change], Path]:
     def rewrite(path: Path, change: Change) -> Path:
         new_path = tmp_path / f"changed{len(list(tmp_path.iterdir()))}"
         old = read_bag(path)
-        infos = [TopicInfo(topic.name, topic.type) for topic in old.topics.values()]
+        infos = [declare(topic.name, topic.type) for topic in old.topics.values()]
         attachments = {name: old.attachment(name) for name in old.attachments}
         with BagWriter(new_path, infos, attachments=attachments) as writer:
             for message in old.messages():

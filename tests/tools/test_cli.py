@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag import BagWriter, declare
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
@@ -33,10 +33,10 @@ def run(*words: object) -> tuple[int, str, str]:
 def write(recording: Recording, directory: Path) -> Path:
     """A recording as a bag, without diagnostics."""
     scenario = recording.scenario
-    infos = [TopicInfo(topics.EPOCH.name, topics.EPOCH.type, "reliable", "volatile", 1)]
+    infos = [declare(topics.EPOCH.name, topics.EPOCH.type, depth=1)]
     for uav in scenario.uav_ids:
         for topic in (topics.odom(uav), topics.wrench_setpoint(uav)):
-            infos.append(TopicInfo(topic.name, topic.type, "reliable", "volatile", 1))
+            infos.append(declare(topic.name, topic.type, depth=1))
     attached = {SCENARIO_ATTACHMENT: scenario.text.encode()}
     state, wrench = OdometryTemplate("map", "b"), WrenchTemplate("b")
     with BagWriter(directory, infos, attachments=attached) as writer:
@@ -300,7 +300,7 @@ def test_a_cut_bag_is_one_line(fly: Fly, tmp_path: Path) -> None:
 
 def test_a_bag_without_a_scenario_says_what_to_do(fly: Fly, tmp_path: Path) -> None:
     recording = fly(seconds=1.0)
-    infos = [TopicInfo("/uav1/odom", topics.odom(1).type, "reliable", "volatile", 1)]
+    infos = [declare("/uav1/odom", topics.odom(1).type, depth=1)]
     with BagWriter(tmp_path / "bag", infos) as writer:
         row = recording.odometry[1].values[0]
         writer.write("/uav1/odom", 0, OdometryTemplate("map", "b").encode(0, row))
@@ -388,7 +388,7 @@ def test_an_order_without_ros_is_refused_in_words_where_no_bridge_of_this_host_h
 
 def test_what_a_bag_names_is_no_command_for_the_terminal(tmp_path: Path) -> None:
     """A topic `[/b]` was a traceback, and metadata could clear the screen."""
-    infos = [TopicInfo(name, "std_msgs/msg/Header") for name in ("[/b]", ":smile:\x1b[2J")]
+    infos = [declare(name, "std_msgs/msg/Header") for name in ("[/b]", ":smile:\x1b[2J")]
     metadata = {"pilot\x1b]0;owned\x07": "\x1b[31mred\u202e"}
     with BagWriter(tmp_path / "flight", infos, metadata=metadata) as writer:
         writer.write("[/b]", 0, HeaderTemplate("x").encode(0))

@@ -12,13 +12,13 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, mcap_file, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, declare, mcap_file, read_bag
 from ptnsbc_io.bag.mcap_file import LARGEST_CHUNK, MAGIC, MOST_MESSAGES
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate
 
-TOPIC = TopicInfo("/formation/epoch", "std_msgs/msg/Header")
+TOPIC = declare("/formation/epoch", "std_msgs/msg/Header")
 EPOCH = HeaderTemplate("form").encode(0)
 COMPRESS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 

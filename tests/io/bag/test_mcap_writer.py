@@ -7,10 +7,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from ptnsbc_io.bag.mcap_writer import McapFileWriter
-from ptnsbc_io.bag.metadata import TopicInfo, declare, to_yaml
+from ptnsbc_io.bag.metadata import declare, to_yaml
 
 TOPICS = [
-    declare(TopicInfo(f"/t{number}", kind))
+    declare(f"/t{number}", kind)
     for number, kind in enumerate(3 * ["std_msgs/msg/Header"] + ["rosgraph_msgs/msg/Clock"])
 ]
 ATTACHMENTS = {"scenario.yaml": b"n: 1\n", "b": b"\0"}

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, metadata
+from ptnsbc_io.bag import BagError, BagWriter, declare, metadata
 
 TYPES = tuple(json.loads(metadata._TABLE_FILE.read_text()))
 
@@ -36,7 +36,7 @@ def test_shipped_definitions_are_jazzys():
 @pytest.mark.parametrize("type_name", ["no_such_msgs/msg/Thing", "nav_msgs/Odometry"])
 def test_unknown_type_leaves_nothing_behind(tmp_path, type_name):
     with pytest.raises(BagError, match=r"no definition of no_such|expected package/msg/Name"):
-        BagWriter(tmp_path / "x", [TopicInfo("/a", type_name)]).open()
+        BagWriter(tmp_path / "x", [declare("/a", type_name)]).open()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -48,7 +48,7 @@ def test_a_bag_of_our_own_messages_carries_their_definitions(tmp_path):
     limits = messages.Limits(speed_m_s=7.0)
     uav = messages.UavState(id=3, mode="form", formation_error_m=0.25, limits=limits)
     state = messages.FleetState(share_of_time=0.5, not_in_place=[3, 5], uavs=[uav])
-    topic = TopicInfo("/formation/state", "ptnsbc_interfaces/msg/FleetState")
+    topic = declare("/formation/state", "ptnsbc_interfaces/msg/FleetState")
     with BagWriter(tmp_path / "state", [topic]) as writer:
         writer.write(topic.name, 7, serialization.serialize_message(state))
     with highlevel.AnyReader([tmp_path / "state"]) as reader:

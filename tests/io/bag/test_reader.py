@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, declare, read_bag
 
 TOPICS = (
-    TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry", "best_effort"),
-    TopicInfo("/clock", "rosgraph_msgs/msg/Clock"),
-    TopicInfo("/unused", "std_msgs/msg/Header"),
+    declare("/uav1/odom", "nav_msgs/msg/Odometry", reliable=False),
+    declare("/clock", "rosgraph_msgs/msg/Clock"),
+    declare("/unused", "std_msgs/msg/Header"),
 )
 TICKS = 4000  # several chunks
 HELD = 2 * TICKS

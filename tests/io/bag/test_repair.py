@@ -9,14 +9,14 @@ from killed_recordings import killed_recordings
 from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair, trim
 from ptnsbc_io.wire import HeaderTemplate
 
 TOPICS = (
-    TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry", "best_effort", "volatile", 1),
-    TopicInfo("/formation/epoch", "std_msgs/msg/Header", "reliable", "transient_local", 1),
+    declare("/uav1/odom", "nav_msgs/msg/Odometry", reliable=False, depth=1),
+    declare("/formation/epoch", "std_msgs/msg/Header", latched=True, depth=1),
 )
 TICKS = 4000
 EXTRAS = {"attachments": {"scenario.yaml": b"n: 1\n"}, "metadata": {"seed": "7"}}
@@ -242,7 +242,7 @@ def test_kill_at_any_moment(tmp_path):
 
 
 HEADER = "std_msgs/msg/Header"
-EPOCH = TopicInfo("/formation/epoch", HEADER, durability="transient_local", depth=1)
+EPOCH = declare("/formation/epoch", HEADER, latched=True, depth=1)
 
 
 def header(k: int) -> bytes:
@@ -250,7 +250,7 @@ def header(k: int) -> bytes:
 
 
 def write_headers(path: Path, topic: str, times: range) -> Path:
-    topics = [EPOCH, TopicInfo(topic, HEADER)]
+    topics = [EPOCH, declare(topic, HEADER)]
     attached = {"scenario.yaml": b"n: 1\n"}
     with BagWriter(path, topics, attachments=attached, metadata={"seed": "7"}) as bag:
         bag.write(EPOCH.name, times[0], header(0))
@@ -261,7 +261,7 @@ def write_headers(path: Path, topic: str, times: range) -> Path:
 
 def test_a_span_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
     whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
-    assert trim(whole, tmp_path / "part", 130, 160) == 5
+    assert trim(whole, tmp_path / "part", 30e-9, 60e-9) == 5
     part = read_bag(tmp_path / "part")
     assert find_problems(part) == []
     assert [(m.topic, m.stamp_ns, m.data) for m in part.messages()] == [
@@ -275,8 +275,8 @@ def test_a_span_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
 def test_an_empty_span_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
     with pytest.raises(BagError, match="no message from 2e-07 s to 3e-07 s after its first"):
-        trim(whole, tmp_path / "part", 300, 400)
+        trim(whole, tmp_path / "part", 2e-7, 3e-7)
     assert [path.name for path in tmp_path.iterdir()] == ["whole"]
-    trim(whole, tmp_path / "part", 100, 400)
+    trim(whole, tmp_path / "part", 0.0, 3e-7)
     with pytest.raises(BagError, match="exists"):
-        trim(whole, tmp_path / "part", 100, 400)
+        trim(whole, tmp_path / "part", 0.0, 3e-7)

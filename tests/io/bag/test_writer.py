@@ -14,18 +14,18 @@ import pytest
 from mcap.writer import CompressionType
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, declare, read_bag
 
 TOPICS = (
-    TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry", "best_effort", "volatile", 1),
-    TopicInfo("/uav1/near", "sensor_msgs/msg/PointCloud2", "best_effort", "volatile", 1),
-    TopicInfo("/uav1/setpoint/velocity", "geometry_msgs/msg/TwistStamped"),
-    TopicInfo("/uav1/setpoint/wrench", "geometry_msgs/msg/WrenchStamped"),
-    TopicInfo("/formation/epoch", "std_msgs/msg/Header", "reliable", "transient_local", 1),
-    TopicInfo("/clock", "rosgraph_msgs/msg/Clock"),
-    TopicInfo("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
-    TopicInfo("/formation/markers", "visualization_msgs/msg/MarkerArray"),
-    TopicInfo("/tf", "tf2_msgs/msg/TFMessage"),
+    declare("/uav1/odom", "nav_msgs/msg/Odometry", reliable=False, depth=1),
+    declare("/uav1/near", "sensor_msgs/msg/PointCloud2", reliable=False, depth=1),
+    declare("/uav1/setpoint/velocity", "geometry_msgs/msg/TwistStamped"),
+    declare("/uav1/setpoint/wrench", "geometry_msgs/msg/WrenchStamped"),
+    declare("/formation/epoch", "std_msgs/msg/Header", latched=True, depth=1),
+    declare("/clock", "rosgraph_msgs/msg/Clock"),
+    declare("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    declare("/formation/markers", "visualization_msgs/msg/MarkerArray"),
+    declare("/tf", "tf2_msgs/msg/TFMessage"),
 )
 START_NS = 5_000_000_000
 TICKS = 20
@@ -81,9 +81,9 @@ def test_rosbag2_metadata(tmp_path):
             assert connection.topic == topic.name
             assert connection.digest == store.hash_rihs01(topic.type)
             (qos,) = connection.ext.offered_qos_profiles
-            assert qos.reliability.name.lower() == topic.reliability
-            assert qos.durability.name.lower() == topic.durability
-            assert (qos.history.name.lower(), qos.depth) == ("keep_last", topic.depth)
+            assert qos.reliability.name.lower() == topic.qos[0]["reliability"]
+            assert qos.durability.name.lower() == topic.qos[0]["durability"]
+            assert (qos.history.name.lower(), qos.depth) == ("keep_last", topic.qos[0]["depth"])
 
 
 def test_mcap_records(tmp_path):
@@ -284,9 +284,9 @@ ENDLESS = textwrap.dedent(
     import numpy as np
     from ptnsbc_io import wire
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts without
-    from ptnsbc_io.bag import BagWriter, TopicInfo
+    from ptnsbc_io.bag import BagWriter, declare
     odom = wire.OdometryTemplate("map", "uav1")
-    with BagWriter(Path(sys.argv[1]), [TopicInfo("/o", "nav_msgs/msg/Odometry")]) as writer:
+    with BagWriter(Path(sys.argv[1]), [declare("/o", "nav_msgs/msg/Odometry")]) as writer:
         for k in range(10**9):
             if k == int(sys.argv[2]):
                 print("goes on", flush=True)

@@ -21,7 +21,7 @@ import rclpy
 from rclpy.node import Node
 
 from ptnsbc_io.bag import BagTopic, read_bag
-from ptnsbc_io.bag.metadata import TopicInfo, qos_profiles, to_yaml
+from ptnsbc_io.bag.metadata import declare
 from ptnsbc_io.wire import peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.recording.player import profile
@@ -158,17 +158,17 @@ def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
 @pytest.mark.parametrize(
     ("info", "reliable", "latched"),
     [
-        (TopicInfo("/a", "std_msgs/msg/Header"), True, False),
-        (TopicInfo("/a", "std_msgs/msg/Header", "best_effort", "volatile", 1), False, False),
-        (TopicInfo("/a", "std_msgs/msg/Header", "reliable", "transient_local", 1), True, True),
+        (declare("/a", "std_msgs/msg/Header"), True, False),
+        (declare("/a", "std_msgs/msg/Header", reliable=False, depth=1), False, False),
+        (declare("/a", "std_msgs/msg/Header", latched=True, depth=1), True, True),
     ],
 )
 def test_quality_of_service_as_recorded(info, reliable, latched):
-    topic = BagTopic(info.name, info.type, 1, to_yaml(qos_profiles(info)))
+    topic = BagTopic(info.name, info.type, 1, info.channel_metadata["offered_qos_profiles"])
     found = profile(topic)
     assert (found.reliability.name == "RELIABLE") == reliable
     assert (found.durability.name == "TRANSIENT_LOCAL") == latched
-    assert found.depth >= info.depth
+    assert found.depth >= info.qos[0]["depth"]
 
 
 @pytest.mark.parametrize(

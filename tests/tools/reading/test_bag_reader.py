@@ -16,7 +16,7 @@ from mcap.writer import CompressionType
 from typer.testing import CliRunner
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import (
@@ -46,7 +46,7 @@ def brief(headless, tmp_path_factory) -> bytes:
     """Eight ticks of a flight, uncompressed: a flipped byte is one of a message, an index, a name."""
     flown = read_bag(headless)
     path = tmp_path_factory.mktemp("brief") / "x"
-    infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
+    infos = [declare(topic.name, topic.type) for topic in flown.topics.values()]
     attachments = {"scenario.yaml": flown.attachment("scenario.yaml")}
     with BagWriter(
         path, infos, attachments=attachments, compression=CompressionType.NONE
@@ -95,7 +95,7 @@ def test_damage_in_messages_that_checksums_hide(kind, request, scenario, tmp_pat
     flown = read_bag(request.getfixturevalue(kind))
     end_ns = flown.start_ns + 150_000_000
     start_ns = data.draw(st.sampled_from([0, flown.start_ns, flown.start_ns + 20_000_000]))
-    infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
+    infos = [declare(topic.name, topic.type) for topic in flown.topics.values()]
     chosen = data.draw(st.sampled_from(sorted(flown.topics)))
     at = data.draw(st.integers(0, 200))
     value = data.draw(st.integers(0, 255))
@@ -168,7 +168,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path, scenario):
 def write_long(path: Path, scenario, ticks: int) -> Path:
     """UAVs that stand still: big, and quick to make."""
     recorded = [topic for uav in scenario.uav_ids for topic in topics.of_uav(uav)[:4]]
-    infos = [TopicInfo(topic.name, topic.type) for topic in (*recorded, topics.EPOCH)]
+    infos = [declare(topic.name, topic.type) for topic in (*recorded, topics.EPOCH)]
     state = OdometryTemplate("map", "uav")
     still = np.eye(13)[6]
     with BagWriter(path, infos) as writer:
@@ -364,7 +364,7 @@ def test_what_is_missing_is_said(flown, scenario_file, tmp_path):
 
 
 def test_other_types_are_refused(flown, scenario_file, tmp_path):
-    with BagWriter(tmp_path / "x", [TopicInfo("/uav1/odom", "std_msgs/msg/Header")]) as writer:
+    with BagWriter(tmp_path / "x", [declare("/uav1/odom", "std_msgs/msg/Header")]) as writer:
         writer.write("/uav1/odom", 0, b"\0\1\0\0" + bytes(16))
     with pytest.raises(BagError, match=r"/uav1/odom is std_msgs/msg/Header: expected nav_msgs"):
         read_recording(tmp_path / "x", ReadOptions(scenario_file))
@@ -387,7 +387,7 @@ def test_the_scenario_of_a_bag_reads_no_file(tmp_path: Path) -> None:
     """`extends: /etc/shadow` made `ptnsbc verify` print its first line."""
     secret = tmp_path / "secret.yaml"
     secret.write_text("password")
-    infos = [TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry")]
+    infos = [declare("/uav1/odom", "nav_msgs/msg/Odometry")]
     attached = {"scenario.yaml": f"name: x\nextends: {secret}\n".encode()}
     with BagWriter(tmp_path / "flight", infos, attachments=attached) as writer:
         writer.write("/uav1/odom", 0, OdometryTemplate("map", "x").encode(0, np.ones(13)))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_io.bag import BagWriter, SplitLimits, TopicInfo, read_bag
+from ptnsbc_io.bag import BagWriter, SplitLimits, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_integers
@@ -20,7 +20,7 @@ import doctor
 
 def split(source: Path, path: Path) -> Path:
     bag = read_bag(source)
-    infos = [TopicInfo(topic.name, topic.type) for topic in bag.topics.values()]
+    infos = [declare(topic.name, topic.type) for topic in bag.topics.values()]
     limits = SplitLimits(duration_ns=400_000_000)
     attachments = {name: bag.attachment(name) for name in bag.attachments}
     with BagWriter(path, infos, limits=limits, attachments=attachments) as writer:
