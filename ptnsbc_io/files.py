@@ -39,22 +39,18 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
             part.unlink()
 
 
-class KeyFileError(PtnsbcError):
-    """A signing key that cannot be used."""
-
-
 def read_key(path: Path) -> bytes:
     """The secret key (32 bytes) in a file, in binary or as 64 hexadecimal digits.
 
     Raises:
-        KeyFileError: the file is not readable, has another size, or is readable for others.
+        PtnsbcError: the file is not readable, has another size, or is readable for others.
     """
     try:
         mode, raw = path.stat().st_mode, path.read_bytes()
     except OSError as error:
-        raise KeyFileError(f"{path}: {error.strerror}: expected a readable key file") from None
+        raise PtnsbcError(f"{path}: {error.strerror}: expected a readable key file") from None
     if mode & _SHARED_BITS:
-        raise KeyFileError(
+        raise PtnsbcError(
             f"{path}: mode {mode & 0o777:o}: expected a key that others cannot read: chmod 600"
         )
     text = raw.strip()
@@ -62,10 +58,10 @@ def read_key(path: Path) -> bytes:
         with suppress(ValueError):  # UnicodeDecodeError is one too
             raw = bytes.fromhex(text.decode("ascii"))
     if len(raw) != KEY_BYTES:
-        raise KeyFileError(
+        raise PtnsbcError(
             f"{path}: {len(raw)} bytes: expected {KEY_BYTES}, or {2 * KEY_BYTES} hexadecimal "
             "digits: head -c 32 /dev/urandom | xxd -p -c 64"
         )
     if not any(raw):
-        raise KeyFileError(f"{path}: zeros only: expected {KEY_BYTES} random bytes")
+        raise PtnsbcError(f"{path}: zeros only: expected {KEY_BYTES} random bytes")
     return raw

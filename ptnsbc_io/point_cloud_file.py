@@ -95,29 +95,30 @@ def contradiction(cells: Sequence[str], columns: str) -> str:
     return ""
 
 
-def _rows(data: bytes, columns: list[int], count: int, *, more: bool) -> Array:
-    """Three columns of `count` rows of text; with `more` something else may follow them."""
+def _points(
+    data: bytes, record: np.dtype[np.void], count: int, *, text: bool, more: bool = False
+) -> Array:
+    """The fields x, y and z of `count` records, as rows of text or in binary; after text `more` may follow."""
+    if not text:
+        size = count * record.itemsize
+        if not 0 < size <= len(data):
+            raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
+        points = np.frombuffer(data, record, count)
+        return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    # The words of a row before an axis: one for each number of the fields before it.
+    names = list(record.names or ())
+    words = [int(np.prod(record[name].shape)) for name in names]
+    columns = [sum(words[: names.index(axis)]) for axis in "xyz"]
+    rows: Array | tuple[()] = ()
     try:
-        most = count if more else None
-        rows = (
-            np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2, max_rows=most)
-            if data.strip()
-            else ()
-        )
+        if data.strip():
+            most = count if more else None
+            rows = np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2, max_rows=most)
     except ValueError:
         raise PointCloudFileError("expected a row of numbers for each point") from None
     if len(rows) != count:
         raise PointCloudFileError(f"{len(rows)} points: expected {count}, as the header says")
     return np.asarray(rows, dtype=np.float64)
-
-
-def _records(data: bytes, record: np.dtype[np.void], count: int) -> Array:
-    """The fields x, y and z of `count` records."""
-    size = count * record.itemsize
-    if not 0 < size <= len(data):
-        raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
-    rows = np.frombuffer(data, record, count)
-    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
 def _ply(data: bytes) -> Array:
@@ -133,16 +134,12 @@ def _ply(data: bytes) -> Array:
     form = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
     if form not in _ORDERS:
         raise PointCloudFileError(f"format {form[:40]}: expected {', '.join(_ORDERS)}")
-    count, columns = _vertices(lines)
-    if not _ORDERS[form]:
-        names = [name for name, _ in columns]
-        return _rows(data[first:], [names.index(axis) for axis in "xyz"], count, more=True)
-    record = np.dtype([(name, _ORDERS[form] + kind) for name, kind in columns])
-    return _records(data[first:], record, count)
+    count, record = _vertices(lines, _ORDERS[form])
+    return _points(data[first:], record, count, text=form == "ascii", more=True)
 
 
-def _vertices(lines: list[list[str]]) -> tuple[int, list[tuple[str, str]]]:
-    """The number of vertices, and name and type of each of their properties."""
+def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[np.void]]:
+    """The number of vertices, and the record of their properties."""
     elements = [at for at, words in enumerate(lines) if words[:1] == ["element"]]
     first = lines[elements[0]] if elements else []
     if len(first) != 3 or first[1] != "vertex":
@@ -157,11 +154,11 @@ def _vertices(lines: list[list[str]]) -> tuple[int, list[tuple[str, str]]]:
             continue
         if len(words) != 3 or words[1] not in _PLY_TYPES:
             raise PointCloudFileError(f"{' '.join(words)[:60]}: expected a property of one number")
-        columns.append((words[2], _PLY_TYPES[words[1]]))
+        columns.append((words[2], order + _PLY_TYPES[words[1]]))
     names = [name for name, _ in columns]
     if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
         raise PointCloudFileError("expected properties x, y and z of the vertices, each name once")
-    return int(first[2]), columns
+    return int(first[2]), np.dtype(columns)
 
 
 def _npy(data: bytes) -> Array:
@@ -188,17 +185,11 @@ def _pcd(data: bytes) -> Array:
         if not header.get(key):
             raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
     points, kind, record = _numbers(header, "POINTS")[0], header["DATA"][0], _record(header)
-    if kind == "binary":
-        return _records(data[after + 1 :], record, points)
-    if kind != "ascii":
+    if kind not in ("ascii", "binary"):
         raise PointCloudFileError(
             f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
         )
-    # The words of a row before an axis: one for each number of the fields before it.
-    words = {name: int(np.prod(record[name].shape)) for name in record.names or ()}
-    names = list(words)
-    columns = [sum(words[name] for name in names[: names.index(axis)]) for axis in "xyz"]
-    return _rows(data[after + 1 :], columns, points, more=False)
+    return _points(data[after + 1 :], record, points, text=kind == "ascii")
 
 
 def _numbers(header: dict[str, list[str]], key: str) -> list[int]:

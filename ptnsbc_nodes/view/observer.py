@@ -29,10 +29,6 @@ _LOOK_S = 0.1
 _ANSWER_S = 3.0
 
 
-class ViewError(PtnsbcError):
-    """No fleet to look at."""
-
-
 class FleetListener:
     """Subscriptions to what the processes of a fleet tell, on its way into a `FlightState`; nobody waits for them."""
 
@@ -89,7 +85,7 @@ class Observer(FleetNode):
         """The scenario of the fleet, from one of its UAVs.
 
         Raises:
-            ViewError: no UAV answers in this time, or `stopped` says so.
+            PtnsbcError: no UAV answers in this time, or `stopped` says so.
             PtnsbcError: its scenario cannot be read on this computer.
         """
         end = time.monotonic() + patience_s
@@ -101,7 +97,7 @@ class Observer(FleetNode):
                     if values is not None:
                         return scenario_of(*values)
             self.spin(_LOOK_S)
-        raise ViewError(
+        raise PtnsbcError(
             f"domain {self.domain}: no UAV answers: expected a fleet there, or the domain that "
             "`ptnsbc fleet` printed: --domain N"
         )

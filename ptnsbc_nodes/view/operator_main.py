@@ -14,10 +14,6 @@ from ptnsbc_nodes.runtime.signals import exit_on_signal
 _PATIENCE_S = 30.0
 
 
-class OperatorError(PtnsbcError):
-    """The interface cannot be offered."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until SIGINT or SIGTERM."""
     exit_on_signal()
@@ -41,7 +37,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "ptnsbc_interfaces":
             raise
-        raise OperatorError(
+        raise PtnsbcError(
             "the messages of ptnsbc_interfaces are not built, or older than this program: "
             "expected g++ and `make setup-messages`, or with ROS from apt `colcon build` and its setup.bash"
         ) from None

@@ -38,11 +38,7 @@ class PluginTask:
         self.periodic: Vector3 = (float(0 in rows), float(1 in rows), float(2 in rows))
 
     def geometry(self, own: Vector3, parent: Vector3, reference: Vector3) -> TaskGeometry:
-        """Value and Jacobians at these points.
-
-        Raises:
-            PluginError: the function raised an error, or did not return three finite numbers.
-        """
+        """Value and Jacobians at these points; PluginError as of `Plugin.numbers`."""
         points = (own, parent, reference)
         slopes = [self._jacobian(points, which) for which in range(3)]
         return TaskGeometry(self._value(points), slopes[0], slopes[1], slopes[2], self.periodic)

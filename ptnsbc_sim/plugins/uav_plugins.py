@@ -44,9 +44,6 @@ class UavLaw:
 
         `own` is the odometry vector (13,); `heard` has the newest states of the `senders` of whom something came,
         ascending; `near` (M, 7) is as in LawInputs.
-
-        Raises:
-            PluginError: the law raised an error, or did not return three finite numbers.
         """
         messages = list(heard)
         if not messages:
@@ -70,7 +67,10 @@ class UavLaw:
 
 
 class UavPlugins(NamedTuple):
-    """The plug-ins of one UAV; None: ours."""
+    """The plug-ins of one UAV; None: ours.
+
+    PluginError when one cannot be loaded, as of a bag, and when a function fails or gives no such numbers.
+    """
 
     law: UavLaw | None = None
     task: PluginTask | None = None
@@ -78,11 +78,7 @@ class UavPlugins(NamedTuple):
 
     @classmethod
     def of(cls, scenario: Scenario, uav: int) -> UavPlugins:
-        """The plug-ins that a scenario names for a UAV: the leader has neither law nor task.
-
-        Raises:
-            PluginError: one cannot be loaded, or the scenario comes from a bag, which does not carry it.
-        """
+        """The plug-ins that a scenario names for a UAV: the leader has neither law nor task."""
         named, follows = scenario.plugins, uav != scenario.leader.id
         law, task = (scenario.law, named.task) if follows else (None, None)
         return cls(
@@ -103,9 +99,6 @@ class UavPlugins(NamedTuple):
         """Force [N] and torque [N m], body FLU: by the controller, or `ours` (6,) without one.
 
         `t` [s] counts from the epoch, `dt` [s] is the control period, `command` (4,) the setpoint [m/s, ENU], [rad/s].
-
-        Raises:
-            PluginError: the function raised an error, or did not return six finite numbers.
         """
         if self.controller is None:
             return ours

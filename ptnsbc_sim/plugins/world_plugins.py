@@ -27,14 +27,12 @@ _QUATERNION = slice(3, 7)
 
 
 class WorldPlugins:
-    """The plug-ins that a scenario names for its world; those that it does not name are None."""
+    """The plug-ins that a scenario names for its world; those that it does not name are None.
+
+    PluginError when one cannot be loaded, as of a bag, and when a function fails or gives no such numbers.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Load the plug-ins.
-
-        Raises:
-            PluginError: one cannot be loaded, or the scenario comes from a bag.
-        """
         self._scenario = scenario
         self.disturbance, self.plant, self.sensor = (
             load_plugin(name, named) if (named := getattr(scenario.plugins, name)) else None
@@ -59,9 +57,6 @@ class WorldPlugins:
         """The plant with the disturbance of the control period that begins at `tick`; it replaces the one before.
 
         `tick` counts the control periods of the simulated world; `truth` (13,) is the true odometry vector at it.
-
-        Raises:
-            PluginError: the function raised an error, or did not return six finite numbers.
         """
         assert self.disturbance is not None
         t = self._seconds(tick)
@@ -72,11 +67,7 @@ class WorldPlugins:
         )
 
     def advance(self, state: Array, wrench: Array, tick: int, plant: PlantConfig) -> None:
-        """State (17,) of a vehicle, in place, by one control period: Runge-Kutta of fourth order.
-
-        Raises:
-            PluginError: the function raised an error, or did not return 17 finite numbers.
-        """
+        """State (17,) of a vehicle, in place, by one control period: Runge-Kutta of fourth order."""
         substeps = self._scenario.timing.physics_hz // self._scenario.timing.control_hz
         begin, step = self._seconds(tick), seconds(self._scenario.timing.dt_ns) / substeps
         for n in range(substeps):
@@ -128,9 +119,6 @@ class WorldPlugins:
         sensor and position.
 
         `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N,) are as in `near_objects`.
-
-        Raises:
-            PluginError: the function raised an error, or gave no such rows.
         """
         scenario = self._scenario
         if self.sensor is None:

@@ -50,10 +50,6 @@ _FLYING = " that flies a scenario with the key mission"
 mission = group("The legs of a flying fleet: list, start, cancel; arm before them.")
 
 
-class OrderError(PtnsbcError):
-    """An order that no flying fleet takes, or of which it is not clear which fleet is meant."""
-
-
 @mission.command("list")
 def list_legs(
     domain: FlyingDomainOption = None, namespace: NamespaceOption = "", json: JsonOption = False
@@ -86,7 +82,7 @@ def start(
     numbers = {str(number): number for number in known.values()}
     number = known.get(leg, numbers.get(leg))
     if number is None:
-        raise OrderError(f"leg {leg}: expected one of {', '.join(known)}")
+        raise PtnsbcError(f"leg {leg}: expected one of {', '.join(known)}")
     console.say(_answer(f"leg_{number}", domain, namespace))
 
 
@@ -103,7 +99,7 @@ def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> N
 
 
 def _answer(service: str, domain: int | None, namespace: str) -> str:
-    """The answer of the leader; OrderError when no fleet with a mission is there, or it refuses."""
+    """The answer of the leader; PtnsbcError when no fleet with a mission is there, or it refuses."""
     number = _flying_domain(domain)
     with _fleet_node(number, "mission", namespace) as node, console.patience(_LOOKS):
         from ptnsbc_nodes.fleet.fleet_node import LeaderClient
@@ -117,7 +113,7 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
             f"no fleet answered: expected one there{_FLEETS.get(service, _FLYING)}; "
             "choose another by --domain N or --namespace NAME"
         )
-    raise OrderError(f"domain {number}: {reason}")
+    raise PtnsbcError(f"domain {number}: {reason}")
 
 
 def _fleet_node(domain: int, name: str, namespace: str) -> FleetNode:
@@ -162,25 +158,25 @@ class Fault:
     ] = None
 
     def block(self) -> FaultBlock:
-        """The fault as a scenario has it; OrderError when the options do not go together."""
+        """The fault as a scenario has it; PtnsbcError when the options do not go together."""
         from pydantic import ValidationError
 
         from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
         from ptnsbc_sim.scenario.problems import scenario_error
 
         if self.kind not in KINDS:
-            raise OrderError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
+            raise PtnsbcError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
         keys = {key: value for key, value in vars(self).items() if value is not None}
         if self.offset_m is not None:
             keys["offset_m"] = list(self.offset_m)
         try:
             fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
         except ValidationError as error:
-            raise OrderError(_in_options(str(scenario_error("inject", error, keys)))) from None
+            raise PtnsbcError(_in_options(str(scenario_error("inject", error, keys)))) from None
         uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
         bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
         for problem in fault_problems(fault, [*uavs, *bridges]):
-            raise OrderError(_in_options(str(problem)))
+            raise PtnsbcError(_in_options(str(problem)))
         return fault
 
 
@@ -218,14 +214,14 @@ def inject(
         console.say(f"injected: {shown}")
         return
     if not block.rule.live:
-        raise OrderError(f"{block.kind}: expected it under faults in the scenario")
+        raise PtnsbcError(f"{block.kind}: expected it under faults in the scenario")
     number = _flying_domain(domain)
     with _fleet_node(number, "inject", namespace) as node, console.patience(_LOOKS):
         from ptnsbc_nodes.fleet.fault_injector import announce_fault
 
         listeners = announce_fault(node, block, _LISTENERS_S)
     if not listeners:
-        raise OrderError(
+        raise PtnsbcError(
             f"domain {number}: nobody takes faults: expected a fleet there whose scenario has the key "
             "faults; an empty list will do"
         )
@@ -237,11 +233,11 @@ def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
     from ptnsbc_autopilot.fault_lines import send_fault
 
     if control is None:
-        raise OrderError(
+        raise PtnsbcError(
             f"{fault.kind}: expected --control PORT, as of `ptnsbc autopilot --control PORT`"
         )
     if fault.duration_s is not None:
-        raise OrderError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
+        raise PtnsbcError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
     what = f"battery {fault.charge}" if fault.kind == "battery" else "gps off"
     send_fault(control, f"{fault.uav} {what}")
 
@@ -300,7 +296,7 @@ def _health(domain: int, namespace: str, names: list[str]) -> int:
 
 
 def _flying_domain(domain: int | None) -> int:
-    """The domain of --domain or ROS_DOMAIN_ID, else of the only fleet of this host, else 0; OrderError for several."""
+    """The domain of --domain or ROS_DOMAIN_ID, else of the only fleet of this host, else 0; PtnsbcError for several."""
     from ptnsbc_nodes.runtime.environment import flying_domains, named_domain
 
     if domain is not None:
@@ -308,7 +304,7 @@ def _flying_domain(domain: int | None) -> int:
     flying = [] if os.environ.get("ROS_DOMAIN_ID") else flying_domains()
     if len(flying) > 1:
         domains = ", ".join(map(str, flying))
-        raise OrderError(f"fleets of this host fly in the domains {domains}: expected --domain N")
+        raise PtnsbcError(f"fleets of this host fly in the domains {domains}: expected --domain N")
     if not flying:
         return named_domain()
     console.say(f"domain {flying[0]}: the only fleet of this host")
@@ -400,7 +396,7 @@ def _give(
 def _tell_leader(node: LauncherNode, domain: int, *, kill: bool) -> int:
     refusal = node.leader.call("stop", _SERVICE_S)
     if refusal is not None:
-        raise OrderError(
+        raise PtnsbcError(
             f"domain {domain}: no bridge listens, and {refusal}: expected a fleet there"
         )
     motors = "; a simulated fleet has no motors to stop" if kill else ""
@@ -432,7 +428,7 @@ def _wait_for_key(operation: EmergencyStop, node: LauncherNode, *, kill: bool) -
                 found = ", ".join(f"{name} {way}" for name, way in known.items()) or "no bridge yet"
                 console.say(f"ready: any key: {what}: {found} (Ctrl-C: no order)")
         if not os.read(descriptor, 1):
-            raise OrderError("--ready: the input has ended: expected a terminal to press a key in")
+            raise PtnsbcError("--ready: the input has ended: expected a terminal to press a key in")
 
 
 @contextmanager

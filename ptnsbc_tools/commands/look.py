@@ -26,14 +26,6 @@ _ALL = "all"
 _CLONE = Path(__file__).resolve().parents[2]
 
 
-class PlotError(PtnsbcError):
-    """A figure that does not exist, or has nothing to show."""
-
-
-class NoCloneError(PtnsbcError):
-    """The packages are installed without the repository."""
-
-
 def verify(
     bag: BagArgument, reading: ReadOptions, picture: PictureOption = None, *, showing: Showing
 ) -> None:
@@ -132,9 +124,9 @@ def plot(
     keys, kind = _keys(what), "" if out is None else out.suffix.lower()
     one = kind in draw.FORMATS
     if out is not None and not one and not out.is_dir() and guess_type(out.name)[0] is not None:
-        raise PlotError(f"--output {out}: expected a folder, or FILE with .png, .svg or .pdf")
+        raise PtnsbcError(f"--output {out}: expected a folder, or FILE with .png, .svg or .pdf")
     if one and kind != ".pdf" and len(keys) != 1:
-        raise PlotError(
+        raise PtnsbcError(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
     with console.patience(f"reading {bag}"):
@@ -153,7 +145,7 @@ def plot(
             ]
     if not written:
         reason = shown.problem or "the bag has no data for it"
-        raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
+        raise PtnsbcError(f"nothing to draw for {', '.join(keys)}: {reason}")
     if json:
         console.print_json({"figures": [str(path) for path in written]})
     else:
@@ -172,7 +164,7 @@ def _keys(what: str) -> list[str]:
     }
     names = [name.strip() for name in what.split(",") if name.strip()]
     if not names or any(name not in groups for name in names):
-        raise PlotError(f"--what {what}: expected one or more of {', '.join(groups)}")
+        raise PtnsbcError(f"--what {what}: expected one or more of {', '.join(groups)}")
     return list(dict.fromkeys(key for name in names for key in groups[name]))
 
 
@@ -212,7 +204,7 @@ def reproduce(context: typer.Context) -> None:
     All words are those of `paper/`, `--help` too.
     """
     if not (_CLONE / "paper" / "command.py").is_file():
-        raise NoCloneError(
+        raise PtnsbcError(
             f"{_CLONE}/paper: there is no such folder: expected a clone of the repository; "
             "run ptnsbc reproduce from its .venv (make setup)"
         )

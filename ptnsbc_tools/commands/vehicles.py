@@ -32,10 +32,6 @@ _INSTALL = "install the extras [ros,mavlink] or source ROS 2"
 _FARTHEST_M = 1e4  # the flat map of a stand-in holds for some kilometres
 
 
-class TuneFileError(PtnsbcError):
-    """A file of settings that cannot be written as requested."""
-
-
 @dataclass(frozen=True)
 class Vehicle:
     """One vehicle of a scenario, and the link to it."""
@@ -107,7 +103,7 @@ def tune(
         from ptnsbc_nodes.bridge.hover_test import settings as fitting
     ros.select_network(None, domain)
     if output is not None and output.exists() and not overwrite:
-        raise TuneFileError(f"{output}: exists: choose another name, or --overwrite")
+        raise PtnsbcError(f"{output}: exists: choose another name, or --overwrite")
     uav, flown = vehicle.uav, vehicle.flown()
     found = fly_hover_test(
         flown, uav, vehicle.signing_key, console.say, allow_arming=vehicle.allow_arming, box_m=box
@@ -172,7 +168,7 @@ def _write(path: Path, base: str, keys: Mapping[str, Any], found: Identified) ->
 
     source = find(base)
     if source.resolve() == path.resolve():
-        raise TuneFileError(f"{path}: is the scenario itself: expected another file")
+        raise PtnsbcError(f"{path}: is the scenario itself: expected another file")
     built_in = os.sep not in base and not Path(base).suffix
     named = base if built_in else os.path.relpath(source, path.parent)
     measured = "".join(

@@ -27,10 +27,6 @@ FORMATS = (".csv", ".parquet")
 _READ_MCAP = {".rrd": "Rerun", ".ulg": "PlotJuggler"}
 
 
-class ExportError(PtnsbcError):
-    """A file that no table can be written to."""
-
-
 @dataclass(frozen=True)
 class Report:
     """The files that `report` wrote."""
@@ -105,12 +101,12 @@ def figures(
 
 
 def checked(path: Path) -> Path:
-    """The path, when its suffix names a format; ExportError else."""
+    """The path, when its suffix names a format; PtnsbcError else."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         viewer = _READ_MCAP.get(suffix)
         way = f"; {viewer} opens the .mcap file of the bag itself" if viewer else ""
-        raise ExportError(
+        raise PtnsbcError(
             f"{path}: suffix {suffix or 'missing'}: expected {' or '.join(FORMATS)}{way}"
         )
     return path
@@ -119,7 +115,7 @@ def checked(path: Path) -> Path:
 def export(source: Flight | Sweep, file: str | Path) -> Path:
     """Write a flight or a sweep into FILE.csv or FILE.parquet, as `ptnsbc export`, and return the file.
 
-    ExportError when there is no such format; OutputFileError when the file cannot be written.
+    PtnsbcError when there is no such format; OutputFileError when the file cannot be written.
     """
     from arro3.io import write_csv, write_parquet
 

@@ -26,10 +26,6 @@ _NEVER = -(2**63)
 _HEAD = struct.Struct("<qq")  # stamp and log time; the values follow
 
 
-class SampleFileError(PtnsbcError):
-    """The temporary file cannot be written."""
-
-
 class SampleFile:
     """A temporary file, which is gone with the last track in it."""
 
@@ -44,7 +40,7 @@ class SampleFile:
         try:
             self._end += os.pwrite(self._file.fileno(), data, at)
         except OSError as error:
-            raise SampleFileError(
+            raise PtnsbcError(
                 f"{tempfile.gettempdir()}: {error.strerror}: samples are kept there while a bag is read: "
                 "name another folder with TMPDIR"
             ) from error

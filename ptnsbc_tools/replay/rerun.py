@@ -8,12 +8,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import multiprocessing
-import signal
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
+from ptnsbc_sim.sweep.runner import depend_on_parent
 from ptnsbc_sim.verdict.recording import with_taken
 from ptnsbc_tools import console
 from ptnsbc_tools.replay.uav_replay import (
@@ -346,10 +347,6 @@ EQUAL, DIFFERENT, VOID = "equal", "different", "void"
 _EVERY = 5000  # messages between two reports of progress
 
 
-class RerunProcessError(PtnsbcError):
-    """A process of the re-run ended without a result."""
-
-
 class Rerun(NamedTuple):
     """The result of a re-run."""
 
@@ -453,45 +450,19 @@ def _accounts(
 
 
 def _in_parallel(parts: Sequence[Callable[[], Accounts]]) -> list[Accounts]:
-    """The results of all parts: the first in this process, each other in a forked process.
-
-    A forked process needs to load nothing.
+    """The results of all parts: the first in this process, each other in a forked one, which needs to load nothing.
 
     Raises:
         PtnsbcError: a part raised it, or a process was killed.
     """
-    forked = multiprocessing.get_context("fork")
-    others = []
-    for part in parts[1:]:
-        receiver, sender = forked.Pipe(duplex=False)
-        process = forked.Process(target=_send, args=(part, sender), daemon=True)
-        process.start()
-        sender.close()
-        others.append((process, receiver))
-    try:
-        return [parts[0](), *(_receive(receiver) for _, receiver in others)]
-    finally:
-        for process, receiver in others:
-            process.kill()
-            process.join()
-            receiver.close()
-
-
-def _send(part: Callable[[], Accounts], to: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C the first process ends the others
-    result: Accounts | PtnsbcError
-    try:
-        result = part()
-    except PtnsbcError as error:
-        result = error
-    to.send(result)
-
-
-def _receive(receiver: Connection) -> Accounts:
-    try:
-        result: Accounts | PtnsbcError = receiver.recv()
-    except EOFError:
-        raise RerunProcessError("a process of the re-run has ended: was it killed?") from None
-    if isinstance(result, PtnsbcError):
-        raise result
-    return result
+    forked, before = multiprocessing.get_context("fork"), multiprocessing.active_children()
+    size = max(len(parts) - 1, 1)
+    with ProcessPoolExecutor(size, mp_context=forked, initializer=depend_on_parent) as pool:
+        try:
+            others = [pool.submit(part) for part in parts[1:]]
+            return [parts[0](), *(other.result() for other in others)]
+        except BrokenProcessPool:
+            raise PtnsbcError("a process of the re-run has ended: was it killed?") from None
+        finally:  # after an error or Ctrl-C nobody waits for the other parts
+            for process in set(multiprocessing.active_children()).difference(before):
+                process.kill()

@@ -4,7 +4,8 @@ import stat
 
 import pytest
 
-from ptnsbc_io.files import KeyFileError, OutputFileError, read_key, replacing
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.files import OutputFileError, read_key, replacing
 
 KEY = bytes(range(32))
 
@@ -18,12 +19,12 @@ def test_key_files(tmp_path):
     assert read_key(path) == KEY
     for wrong in (b"short", b"", bytes(32), b"0" * 64):
         path.write_bytes(wrong)
-        with pytest.raises(KeyFileError, match="expected 32"):
+        with pytest.raises(PtnsbcError, match="expected 32"):
             read_key(path)
     path.chmod(0o600 | stat.S_IRGRP)
-    with pytest.raises(KeyFileError, match="chmod 600"):
+    with pytest.raises(PtnsbcError, match="chmod 600"):
         read_key(path)
-    with pytest.raises(KeyFileError, match="readable key file"):
+    with pytest.raises(PtnsbcError, match="readable key file"):
         read_key(tmp_path / "nothing")
 
 

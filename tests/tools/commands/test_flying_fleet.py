@@ -13,6 +13,7 @@ pytest.importorskip("pymavlink")
 import typer
 from typer.testing import CliRunner
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import HeaderTemplate, WireError
 from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.emergency import (
@@ -72,7 +73,7 @@ def test_what_is_refused(words, said):
 
 def test_without_a_fleet_that_takes_faults_it_says_so(domain, monkeypatch):
     monkeypatch.setattr(command, "_LISTENERS_S", 0.5)
-    with pytest.raises(command.OrderError, match="whose scenario has the key faults"):
+    with pytest.raises(PtnsbcError, match="whose scenario has the key faults"):
         command.inject(command.Fault("silence", uav=2), domain=domain)
 
 
@@ -140,9 +141,9 @@ def test_an_empty_domain_says_what_is_expected_there(monkeypatch):
             f"domain {number}: no fleet answered: expected one there that flies a scenario with the key "
             "mission; choose another by --domain N or --namespace NAME"
         )
-        with pytest.raises(command.OrderError, match=words):
+        with pytest.raises(PtnsbcError, match=words):
             command.list_legs(domain=number)
-        with pytest.raises(command.OrderError, match="expected one there that waits for"):
+        with pytest.raises(PtnsbcError, match="expected one there that waits for"):
             command.arm(domain=number)
 
 
@@ -256,7 +257,7 @@ def test_a_simulated_fleet_has_no_bridge_but_a_leader(middleware, folder, capsys
     assert give(kill=True) == 0
     assert "has no motors to stop" in capsys.readouterr().err
     middleware.refusal = "the leader's service is not there"
-    with pytest.raises(command.OrderError, match="no bridge listens"):
+    with pytest.raises(PtnsbcError, match="no bridge listens"):
         command.stop(domain=DOMAIN, patience=0.5)
 
 
@@ -292,7 +293,7 @@ def test_ready_without_a_terminal_gives_no_order(bridge, middleware, folder, mon
     bridge()
     with open(os.devnull) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        with pytest.raises(command.OrderError, match="the input has ended"):
+        with pytest.raises(PtnsbcError, match="the input has ended"):
             command.stop(kill=True, ready=True, domain=DOMAIN, patience=1.0)
     assert latched(folder) == Order()
 
@@ -308,7 +309,7 @@ def test_an_order_goes_to_the_only_fleet_of_this_host(folder, monkeypatch, capsy
 def test_an_order_asks_which_of_several_fleets_is_meant(folder, monkeypatch):
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     monkeypatch.setattr(environment, "flying_domains", lambda: [3, 5])
-    with pytest.raises(command.OrderError, match="in the domains 3, 5: expected --domain N"):
+    with pytest.raises(PtnsbcError, match="in the domains 3, 5: expected --domain N"):
         command.stop()
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     command.stop(clear=True)

@@ -15,11 +15,12 @@ import pytest
 from typer.testing import CliRunner
 
 import ptnsbc
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagError
 from ptnsbc_sim.verdict import Recording
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.flight import Flight
-from ptnsbc_tools.library.reporting import ExportError, checked, export
+from ptnsbc_tools.library.reporting import checked, export
 
 Fly = Callable[..., Recording]
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
@@ -55,7 +56,7 @@ def test_a_csv_file_gives_the_same_numbers(fly: Fly, tmp_path: Path) -> None:
     ],
 )
 def test_another_format_is_refused(name: str, way: str) -> None:
-    with pytest.raises(ExportError, match=rf"expected \.csv or \.parquet{way}"):
+    with pytest.raises(PtnsbcError, match=rf"expected \.csv or \.parquet{way}"):
         checked(Path(name))
 
 

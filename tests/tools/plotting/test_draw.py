@@ -10,6 +10,7 @@ import matplotlib.axes
 import numpy as np
 import pytest
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import OutputFileError
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.plotting import draw
@@ -33,7 +34,7 @@ def test_the_same_bytes_twice(fly, tmp_path, suffix, start):
 
 def test_other_suffixes_and_places_are_refused(fly, tmp_path):
     figure = draw.figure_of(errors(view_of(fly(seconds=7.0), StatusSeries())), "x")
-    with pytest.raises(draw.FigureError, match=r"suffix \.gif: expected \.png, \.svg or \.pdf"):
+    with pytest.raises(PtnsbcError, match=r"suffix \.gif: expected \.png, \.svg or \.pdf"):
         draw.save(figure, tmp_path / "e.gif")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputFileError, match="cannot be written"):

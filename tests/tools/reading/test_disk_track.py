@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.verdict import Track
 from ptnsbc_tools.reading import disk_track
-from ptnsbc_tools.reading.disk_track import SampleFile, SampleFileError, TrackWriter
+from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriter
 
 STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
     st.integers(-(2**40), 2**40), min_size=1, max_size=60, unique=True
@@ -70,5 +71,5 @@ def test_no_room_is_said_in_one_line(monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(SampleFileError, match=r"No space left on device: .* TMPDIR"):
+    with pytest.raises(PtnsbcError, match=r"No space left on device: .* TMPDIR"):
         written([1, 2, 3])
