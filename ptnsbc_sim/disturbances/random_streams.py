@@ -22,20 +22,18 @@ Address = tuple[int, ...]
 """Seed, purpose, and the ids of the UAVs that the stream concerns."""
 
 
-def _generator(address: Address, block: int) -> np.random.Generator:
-    seed, *words = address
-    return np.random.Generator(
-        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(*words, block)))
-    )
+def generator(seed: int, *words: int) -> np.random.Generator:
+    """The generator of an address: its numbers depend on the seed and on each of the words."""
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=words)))
 
 
 def _fill(values: Array, address: Address, block: int) -> None:
     """Put the numbers of a block into `values`: normal (BLOCK_TICKS, width), or uniform (BLOCK_TICKS,)."""
-    generator = _generator(address, block)
+    numbers = generator(*address, block)
     if values.ndim == 2:
-        generator.standard_normal(out=values)
+        numbers.standard_normal(out=values)
     else:
-        generator.random(out=values)
+        numbers.random(out=values)
 
 
 def first_numbers(address: Address, ticks: int, *width: int) -> Array:

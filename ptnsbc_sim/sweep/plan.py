@@ -20,6 +20,7 @@ import numpy as np
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import LARGEST_POSITION_M
+from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import takes_off
 from ptnsbc_sim.scenario.problems import Tree
@@ -129,8 +130,7 @@ def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
 
 def generator(plan: SweepPlan, k: int, name: str) -> np.random.Generator:
     """Random numbers of one quantity of draw k, whatever else is drawn."""
-    words = (k, zlib.crc32(name.encode()))
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence(plan.seed, spawn_key=words)))
+    return random_streams.generator(plan.seed, k, zlib.crc32(name.encode()))
 
 
 @lru_cache(maxsize=4)
@@ -138,8 +138,7 @@ def _design(seed: int, draws: int, width: int) -> Array:
     """Latin hypercube (draws, width) in [0, 1)."""
     from scipy.stats import qmc  # late: a second, and few ask for it
 
-    words = (zlib.crc32(b"latin hypercube"),)
-    rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=words)))
+    rng = random_streams.generator(seed, zlib.crc32(b"latin hypercube"))
     found: Array = qmc.LatinHypercube(width, seed=rng).random(draws)
     return found
 
