@@ -25,6 +25,7 @@ from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE, read_table
 from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
+from ptnsbc_tools import console
 from ptnsbc_tools.tables import length, word
 
 WIDE = 0.2
@@ -345,21 +346,23 @@ def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     ]
 
 
-def _again(sweep: FlownSweep, draw: int) -> str:
-    return shlex.join(["ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw", str(draw)])
+def _again(sweep: FlownSweep, draw: int, program: str = "ptnsbc") -> str:
+    return shlex.join([program, "simulate", "--sweep", str(sweep.folder), "--draw", str(draw)])
 
 
 def look_first(sweep: FlownSweep, count: int = 1) -> Iterator[str]:
     """The worst flights and the one with the closest pair, a line each with the command that flies it again."""
     for flight in worst(sweep, count):
         off = flight.largest_after_all_m
-        error = "" if off is None else f", {length(off)} off"
-        yield f"worst: draw {flight.draw} ({flight.verdict}{error}): {flight.command}"
+        error = "" if off is None else f", later {length(off)} off"
+        again = _again(sweep, flight.draw, console.program())
+        yield f"worst: draw {flight.draw} ({flight.verdict}{error}): {again}"
     apart = sweep.table.of_flights("closest_uav_m")
     if np.isfinite(apart).any():
         k = int(np.nanargmin(apart))
         draw = int(sweep.table.flights.draw[k])
-        yield f"closest UAVs: draw {draw} ({length(apart[k])}): {_again(sweep, draw)}"
+        again = _again(sweep, draw, console.program())
+        yield f"closest UAVs: draw {draw} ({length(apart[k])}): {again}"
 
 
 class Quantiles(NamedTuple):
@@ -522,10 +525,9 @@ def line(sweep: FlownSweep) -> Text:
     text = Text(f"Flights met: {flown}")
     text.append(f"; in place at the deadline: {share_of(sweep.table.flights.in_place)}")
     if sweep.table.different < flown.of:
-        text.append(
-            f"; only {sweep.table.different} of them differ: draw --starts near:0.3, or --vary a range",
-            "bold red",
-        )
+        kinds = f"{sweep.table.different} of these flights are different"
+        told = "all are the same flight" if sweep.table.different == 1 else f"only {kinds}"
+        text.append(f"; {told}: draw --starts near:0.3, or --vary a range", "bold red")
     if sweep.missing:
         text.append(f"; {sweep.missing} of {sweep.plan.draws} draws were not flown", "bold red")
     return text

@@ -330,8 +330,9 @@ class BodyRateEstimator:
             self._rates = np.zeros(3)
         else:
             turn = _product(last * (-1.0, -1.0, -1.0, 1.0), quaternion)
-            # The sine of half the angle stands for it: 0.7 % less for the fastest, over the longest gap.
-            measured = math.copysign(2.0 / dt, turn[3]) * turn[0:3]
+            sine = math.sqrt(float(turn[0:3] @ turn[0:3]))  # of half the angle
+            angle = math.copysign(2.0 * math.atan2(sine, abs(turn[3])), turn[3])  # the shorter way
+            measured = angle / (max(sine, 1e-12) * dt) * turn[0:3]
             if np.abs(measured).max() > self._MAX_RAD_S:
                 measured = np.zeros(3)  # the target jumped: that is no motion of the target
             smoothed = self._rates + dt / (self.SMOOTHING_S + dt) * (measured - self._rates)
