@@ -1,7 +1,8 @@
 """One MCAP file: its contents by its summary, or by a walk over its records around their damage.
 
 The MCAP library makes an object of every record and stops at the first damage. Here a message costs
-one `struct` call, and the walk goes on behind a damaged chunk.
+one `struct` call, and the walk goes on behind a damaged chunk. Either way gives the places of the chunks, by which
+messages are read in the order of time.
 
 A file may have been made to do harm. Every length is checked before it is used, what a file may unpack to
 is bounded by its size, and so is the work that its damage costs.
@@ -9,15 +10,14 @@ is bounded by its size, and so is the work that its damage costs.
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from bisect import bisect_left
-from collections.abc import Container, Iterable, Iterator
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
-from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias
@@ -26,8 +26,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Metadata, Schema
 
 from ptnsbc_io.bag.metadata import BagError, DamagedError
 
@@ -40,8 +39,9 @@ RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 # A chunk before the name of its compression: head, start, end, size, checksum, length of the name.
 _BEFORE_COMPRESSION = RECORD_HEAD.size + 8 + 8 + 8 + 4
-_COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+_COMPRESSIONS = b"\x04\0\0\0zstd", b"\x03\0\0\0lz4"
 _BLOCKS = 1 << 12, 1 << 22  # [bytes], read at once in the search for a chunk: first, and at most
+_LONGEST_RUN = 1 << 20  # [bytes], of messages outside of chunks that are read together
 _LEAST_UNPACKED = 1 << 27  # [bytes], of a file of any size
 _UNPACKED_RATIO = 300  # a flight that hovers is compressed to a hundredth
 _LEAST_PACKED = 4  # [bytes], of a message with its times
@@ -64,6 +64,8 @@ class BagMessage(NamedTuple):
     topic: str
     stamp_ns: int  # log time [ns]
     data: bytes  # CDR
+    publish_ns: int | None = None  # None: the log time
+    sequence: int | None = None  # None: the number of messages before it on its topic
 
 
 class MessageRecord(NamedTuple):
@@ -81,13 +83,14 @@ Record: TypeAlias = Schema | Channel | Attachment | Metadata | MessageRecord
 
 @dataclass
 class Damage:
-    """The part of a file that a walk could not read."""
+    """What is wrong with a file."""
 
     chunks: int = 0  # damaged chunks, lost with all their messages
+    times: int = 0  # log times that no clock shows
     cut: bool = False  # the file ends inside a record, or before its footer
 
     def __bool__(self) -> bool:
-        return self.cut or self.chunks > 0
+        return self.cut or self.chunks > 0 or self.times > 0
 
 
 def unpacked_bytes(size: int) -> int:
@@ -149,13 +152,14 @@ class Unpacker:
 
 
 def chunk_records(
-    data: bytes, channels: Container[int] | None = None
+    data: bytes, damage: Damage, channels: Container[int] | None = None
 ) -> Iterator[Schema | Channel | MessageRecord]:
     """The schemas, channels and messages of a decompressed chunk, in the order of the file.
 
-    With `channels` only their messages: no object is made for another record.
+    With `channels` only their messages: no object is made for another record. A log time that no clock shows becomes
+    the time of publication, or where that is none either, that of the message before.
     """
-    at, messages, size = 0, 0, len(data)
+    at, messages, size, before_ns = 0, 0, len(data), 0
     while at < size:
         if data[at] == Opcode.MESSAGE and size - at >= MESSAGE_HEAD.size:
             _, length, channel_id, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(data, at)
@@ -167,7 +171,9 @@ def chunk_records(
                 if messages > MOST_MESSAGES:
                     raise ValueError(_CROWDED)
                 if log_ns > LAST_NS:
-                    raise ValueError("time of a message")
+                    damage.times += 1
+                    log_ns = publish_ns if publish_ns <= LAST_NS else before_ns
+                before_ns, publish_ns = log_ns, min(publish_ns, LAST_NS)
                 yield MessageRecord(channel_id, sequence, log_ns, publish_ns, data[start:at])
             continue
         opcode, start = data[at], at + RECORD_HEAD.size
@@ -189,8 +195,16 @@ def _record_end(data: bytes, at: int) -> int:
     return end
 
 
-def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
-    """All readable records except indexes, in the order of the file.
+class Place(NamedTuple):
+    """The place of a record in a file, or of several messages in a row."""
+
+    opcode: int
+    start: int
+    size: int  # with the head of the record
+
+
+def walk(stream: IO[bytes], damage: Damage) -> Iterator[tuple[Place, list[Record]]]:
+    """The places of all readable records except indexes, in the order of the file, and what each holds.
 
     A damaged chunk is left out and counted in `damage`. Behind a damaged length the walk goes on at the next bytes that
     look like a chunk. The magic bytes of the file have been checked.
@@ -210,9 +224,11 @@ def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
             return
         end = offset + RECORD_HEAD.size + length
         known = 0 < opcode <= Opcode.DATA_END or opcode >= 0x80  # MCAP's, or left to others
-        records = _read_records(stream, opcode, length, unpacker) if known and end <= size else None
+        records = None
+        if known and end <= size:
+            records = _read_records(stream, opcode, length, unpacker, damage)
         if records is not None:
-            yield from records
+            yield Place(opcode, offset, end - offset), records
             offset = end
             continue
         spare -= length if end <= size else 0
@@ -227,7 +243,7 @@ def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
 
 
 def _read_records(
-    stream: IO[bytes], opcode: int, length: int, unpacker: Unpacker
+    stream: IO[bytes], opcode: int, length: int, unpacker: Unpacker, damage: Damage
 ) -> list[Record] | None:
     """The records that a record of the file stands for; None when it is damaged."""
     if opcode not in (*_RECORD_TYPES, Opcode.CHUNK, Opcode.MESSAGE):
@@ -237,15 +253,11 @@ def _read_records(
         if opcode == Opcode.CHUNK:
             # The whole list before the first record is used: a chunk counts whole, or not at all.
             # Declarations come first: a reader must know a channel before its messages.
-            records = list(chunk_records(unpacker.unpack(body)))
+            records = list(chunk_records(unpacker.unpack(body), damage))
             unpacker.count(len(records))
             return sorted(records, key=lambda record: isinstance(record, MessageRecord))
         if opcode == Opcode.MESSAGE:
-            found = Message.read(ReadDataStream(BytesIO(body)), len(body))
-            if found.log_time > LAST_NS:
-                return None
-            times = found.log_time, found.publish_time
-            return [MessageRecord(found.channel_id, found.sequence, *times, found.data)]
+            return list(chunk_records(RECORD_HEAD.pack(opcode, length) + body, damage))
         return [_RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(body)))]
     except Exception:
         # Broad on purpose: damaged bytes surface as struct, zstd, CRC, key, value or EOF errors.
@@ -260,8 +272,8 @@ def _next_chunk(stream: IO[bytes], offset: int) -> int | None:
     while block := stream.read(length):
         length = min(2 * length, longest)
         window = kept + block
-        for match in _COMPRESSION.finditer(window):
-            start = match.start() - _BEFORE_COMPRESSION
+        names = sorted(at for name in _COMPRESSIONS for at in _occurrences(window, name))
+        for start in (at - _BEFORE_COMPRESSION for at in names):
             if start >= 0 and window[start] == Opcode.CHUNK:
                 return base + start
         kept = window[-2 * _BEFORE_COMPRESSION :]
@@ -269,13 +281,20 @@ def _next_chunk(stream: IO[bytes], offset: int) -> int | None:
     return None
 
 
+def _occurrences(window: bytes, part: bytes) -> Iterator[int]:
+    """Where a part begins. A regular expression for several takes four times as long."""
+    at = window.find(part)
+    while at >= 0:
+        yield at
+        at = window.find(part, at + 1)
+
+
 class ChunkLocation(NamedTuple):
     """Place and contents of a chunk; a long bag keeps thousands of these while it is read."""
 
     first_ns: int  # log time
     last_ns: int
-    start: int  # of its record in the file
-    size: int  # with the head of the record
+    place: Place
     channels: frozenset[int]  # shared between chunks that hold the same; empty: not known
 
 
@@ -285,27 +304,39 @@ class Contents:
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)  # messages by channel
-    attachments: list[str] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
+    attachments: dict[str, Place] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name of the record
-    span_ns: tuple[int, int] | None = None  # log time; None without messages
-    chunks: list[ChunkLocation] = field(default_factory=list)  # empty: read in file order
+    chunks: list[ChunkLocation] = field(default_factory=list)
     damage: Damage = field(default_factory=Damage)
 
-    def add(self, record: object) -> None:
-        """Add one record of the file."""
-        if isinstance(record, MessageRecord):
-            self.counts[record.channel_id] = self.counts.get(record.channel_id, 0) + 1
-            first, last = self.span_ns or (record.log_ns, record.log_ns)
-            self.span_ns = (min(first, record.log_ns), max(last, record.log_ns))
-        elif isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
-        elif isinstance(record, Attachment):
-            self.attachments.append(record.name)
-        elif isinstance(record, Metadata):
-            self.metadata[record.name] = dict(record.metadata)
+    def add(self, place: Place, records: Sequence[Record]) -> None:
+        """Add the records at a place of the file."""
+        times = []
+        for record in records:
+            if isinstance(record, MessageRecord):
+                self.counts[record.channel_id] += 1
+                times.append(record.log_ns)
+            elif isinstance(record, Schema):
+                self.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.channels[record.id] = record
+            elif isinstance(record, Attachment):
+                self.attachments[record.name] = place
+            else:
+                self.metadata[record.name] = dict(record.metadata)
+        if not times:
+            return
+        chunk = ChunkLocation(min(times), max(times), place, frozenset())
+        if place.opcode == Opcode.MESSAGE and self.chunks:
+            # Messages that no chunk holds are read together, as if one did.
+            first_ns, last_ns, (opcode, start, size), channels = self.chunks[-1]
+            if opcode == place.opcode and start + size == place.start and size < _LONGEST_RUN:
+                run = Place(opcode, start, size + place.size)
+                span = min(first_ns, chunk.first_ns), max(last_ns, chunk.last_ns)
+                self.chunks[-1] = ChunkLocation(*span, run, channels)
+                return
+        self.chunks.append(chunk)
 
 
 @contextmanager
@@ -322,14 +353,19 @@ def open_mcap(path: Path) -> Iterator[IO[bytes]]:
         raise BagError(f"{path} cannot be read: {error.strerror or error}") from error
     except Exception as error:
         # Broad on purpose: damaged bytes surface as struct, zstd, CRC, key, value or EOF errors.
-        raise DamagedError(
-            f"{path} is damaged ({type(error).__name__}: {error}): expected intact chunks; "
-            "copy the file again, or rescue what is left with: ptnsbc bag repair"
-        ) from error
+        raise damaged(path, f"{type(error).__name__}: {error}") from error
+
+
+def damaged(path: Path, what: str) -> DamagedError:
+    """The error of a file in which something is damaged."""
+    return DamagedError(
+        f"{path} is damaged ({what}): expected intact chunks; "
+        "copy the file again, or rescue what is left with: ptnsbc bag repair"
+    )
 
 
 def read_summary(path: Path) -> Contents | None:
-    """The contents by the summary; None when it is missing, DamagedError when it is not valid."""
+    """The contents by the summary; None when that lacks them, DamagedError when it is not valid."""
     with open_mcap(path) as stream:
         _check_magic(path, stream)
         size = stream.seek(0, 2)
@@ -339,26 +375,28 @@ def read_summary(path: Path) -> Contents | None:
         stream.seek(0)
         reader = SeekingReader(stream, validate_crcs=True, record_size_limit=size)
         summary = reader.get_summary()
-        if summary is None or summary.statistics is None:
+        statistics = None if summary is None else summary.statistics
+        if statistics is None or statistics.message_end_time > LAST_NS:
             return None
-        statistics = summary.statistics
+        if statistics.message_count and not summary.chunk_indexes:
+            return None
         found = Contents(
             schemas=dict(summary.schemas),
             channels=dict(summary.channels),
-            counts=dict(statistics.channel_message_counts),
-            attachments=[index.name for index in summary.attachment_indexes],
+            counts=Counter(statistics.channel_message_counts),
+            attachments={
+                index.name: Place(Opcode.ATTACHMENT, index.offset, index.length)
+                for index in summary.attachment_indexes
+            },
             chunks=_chunk_locations(summary.chunk_indexes),
         )
-        if statistics.message_count:
-            found.span_ns = (statistics.message_start_time, statistics.message_end_time)
         left = size  # together they cannot be longer than the file
         for index in summary.metadata_indexes:
             left -= index.length
-            stream.seek(index.offset)
-            record = next(StreamReader(stream, True, record_size_limit=index.length).records)
-            if left < 0 or not isinstance(record, Metadata):
-                raise ValueError(f"an index of metadata leads to {type(record).__name__}")
-            found.add(record)
+            if left < 0:
+                raise ValueError("length of metadata")
+            place = Place(Opcode.METADATA, index.offset, index.length)
+            found.add(place, [_read_record(stream, place)])
         return found
 
 
@@ -367,74 +405,78 @@ def scan_records(path: Path) -> Contents:
     found = Contents()
     with open_mcap(path) as stream:
         _check_magic(path, stream)
-        for record in walk(stream, found.damage):
-            found.add(record)
+        for place, records in walk(stream, found.damage):
+            found.add(place, records)
+    found.chunks.sort(key=lambda chunk: chunk.first_ns)
     return found
 
 
-def messages_by_time(
-    path: Path, contents: Contents, wanted: frozenset[str] | None
+def messages(
+    path: Path, contents: Contents, wanted: frozenset[str] | None, damage: Damage | None = None
 ) -> Iterator[BagMessage]:
-    """Messages in order of log time; DamagedError at the first damage."""
+    """Messages in the order of log time; those of equal time stay in the order of the file.
+
+    What is damaged is left out and counted in `damage`; without it DamagedError.
+    """
     channels = contents.channels.values()
     topics = {c.id: c.topic for c in channels if wanted is None or c.topic in wanted}
-    chunks = [c for c in contents.chunks if not c.channels or not c.channels.isdisjoint(topics)]
+    strict, damage = damage is None, Damage() if damage is None else damage
+    held: list[BagMessage] = []  # chunks overlap in time
     with open_mcap(path) as stream:
         unpacker = Unpacker(stream.seek(0, 2))
-
-        def messages(chunk: ChunkLocation) -> list[BagMessage]:
-            """Those of equal time stay in the order of the file."""
-            stream.seek(chunk.start + RECORD_HEAD.size)
-            records = chunk_records(unpacker.unpack(stream.read(chunk.size)), topics)
-            found = [
-                BagMessage(topics[record.channel_id], record.log_ns, record.data)
-                for record in records
-                if isinstance(record, MessageRecord)
-            ]
-            unpacker.count(len(found))
-            return sorted(found, key=_stamp)
-
-        if not any(a.last_ns > b.first_ns for a, b in pairwise(chunks)):
-            for chunk in chunks:
-                yield from messages(chunk)
-            return
-        # Chunks overlap in time: those that do are held open.
-        open_: list[BagMessage] = []
-        for chunk in chunks:
-            ready = bisect_left(open_, chunk.first_ns, key=_stamp)
-            yield from open_[:ready]
-            open_ = sorted(open_[ready:] + messages(chunk), key=_stamp)
-            if len(open_) > MOST_MESSAGES or sum(len(one.data) for one in open_) > LARGEST_CHUNK:
-                raise ValueError("too many chunks at the same time")
-        yield from open_
+        for chunk in contents.chunks:
+            if chunk.channels and chunk.channels.isdisjoint(topics):
+                continue
+            ready = bisect_left(held, chunk.first_ns, key=_stamp)
+            yield from held[:ready]
+            del held[:ready]
+            try:
+                if len(held) > MOST_MESSAGES or sum(len(one.data) for one in held) > LARGEST_CHUNK:
+                    raise ValueError("too many chunks at the same time")
+                read = _chunk_messages(stream, chunk.place, unpacker, topics, damage)
+                if strict and damage:
+                    raise ValueError("time of a message")
+            except Exception:  # as in `open_mcap`
+                if strict:
+                    raise
+                damage.chunks += 1
+            else:
+                held = sorted(held + read, key=_stamp)
+        yield from held
 
 
-def messages_in_file_order(
-    path: Path, wanted: frozenset[str] | None, *, salvage: bool
-) -> Iterator[BagMessage]:
-    """Messages in the order of the file; at damage DamagedError, with `salvage` the next chunk."""
-    topics: dict[int, str] = {}
-    damage = Damage()
+def _chunk_messages(
+    stream: IO[bytes], place: Place, unpacker: Unpacker, topics: Mapping[int, str], damage: Damage
+) -> list[BagMessage]:
+    """The messages of some topics, by channel, of a chunk or of a run outside of chunks."""
+    stream.seek(place.start)
+    data = stream.read(place.size)
+    if place.opcode == Opcode.CHUNK:
+        if RECORD_HEAD.unpack_from(data) != (place.opcode, len(data) - RECORD_HEAD.size):
+            raise ValueError("length of a chunk")
+        data = unpacker.unpack(data[RECORD_HEAD.size :])
+    found = [
+        BagMessage(topics[one.channel_id], one.log_ns, one.data, one.publish_ns, one.sequence)
+        for one in chunk_records(data, damage, topics)
+        if isinstance(one, MessageRecord)
+    ]
+    unpacker.count(len(found))
+    return found
+
+
+def read_attachment(path: Path, contents: Contents, name: str) -> bytes:
+    """The content of an attachment; DamagedError when it cannot be read."""
     with open_mcap(path) as stream:
-        for record in walk(stream, damage):
-            if damage and not salvage:
-                break
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, MessageRecord):
-                topic = topics.get(record.channel_id, "")
-                if wanted is None or topic in wanted:
-                    yield BagMessage(topic, record.log_ns, record.data)
-        if damage and not salvage:
-            raise ValueError("a chunk or the end of the file")
+        return bytes(_read_record(stream, contents.attachments[name]).data)
 
 
-def attachments(path: Path) -> Iterator[Attachment]:
-    """The attachments of a file that can be read, in the order of the file."""
-    with open_mcap(path) as stream:
-        for record in walk(stream, Damage()):
-            if isinstance(record, Attachment):
-                yield record
+def _read_record(stream: IO[bytes], place: Place) -> Any:
+    """The record at a place; ValueError when there is another one."""
+    stream.seek(place.start)
+    opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+    if (opcode, length) != (place.opcode, place.size - RECORD_HEAD.size):
+        raise ValueError(f"an index of {Opcode(place.opcode).name} leads to something else")
+    return _RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(stream.read(length))))
 
 
 def _check_magic(path: Path, stream: IO[bytes]) -> None:
@@ -452,6 +494,7 @@ def _chunk_locations(indexes: Iterable[ChunkIndex]) -> list[ChunkLocation]:
     for index in {index.chunk_start_offset: index for index in indexes}.values():
         channels = frozenset(index.message_index_offsets)
         channels = known.setdefault(channels, channels)
+        place = Place(Opcode.CHUNK, index.chunk_start_offset, index.chunk_length)
         span = index.message_start_time, index.message_end_time
-        found.append(ChunkLocation(*span, index.chunk_start_offset, index.chunk_length, channels))
+        found.append(ChunkLocation(*span, place, channels))
     return sorted(found, key=lambda chunk: chunk.first_ns)

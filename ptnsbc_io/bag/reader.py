@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_io.bag import mcap_file
-from ptnsbc_io.bag.mcap_file import BagMessage, Contents
+from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage
 from ptnsbc_io.bag.metadata import (
     METADATA_FILE,
     METADATA_RECORD,
@@ -47,7 +48,7 @@ class Bag:
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
         """Messages of `topics` (all by default), in order of log time within each file.
 
-        With `salvage` they come in the order of the file, without what is damaged.
+        With `salvage` what is damaged is left out.
         """
         wanted = None if topics is None else frozenset(topics)
         unknown = sorted((wanted or frozenset()) - self.topics.keys())
@@ -55,26 +56,16 @@ class Bag:
             known = ", ".join(self.topics)
             raise BagError(f"{self.path}: no topic {', '.join(unknown)}: expected one of {known}")
 
-        def messages() -> Iterator[BagMessage]:
-            for path, contents in self.files:
-                if self.salvage or not contents.chunks:
-                    yield from mcap_file.messages_in_file_order(path, wanted, salvage=self.salvage)
-                else:
-                    yield from mcap_file.messages_by_time(path, contents, wanted)
-
-        return messages()
+        return chain.from_iterable(
+            mcap_file.messages(*file, wanted, Damage() if self.salvage else None)
+            for file in self.files
+        )
 
     def attachment(self, name: str) -> bytes:
         """The content of the attachment `name`."""
         for path, contents in self.files:
             if name in contents.attachments:
-                every = mcap_file.attachments(path)
-                found = next((one for one in every if one.name == name), None)
-                if found is None:
-                    raise DamagedError(
-                        f"{path} is damaged: expected an intact attachment {name}: copy the file again"
-                    )
-                return bytes(found.data)
+                return mcap_file.read_attachment(path, contents, name)
         known = ", ".join(self.attachments) or "none"
         raise BagError(f"{self.path}: no attachment {name!r}: expected one of {known}")
 
@@ -101,7 +92,7 @@ def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
                 before + contents.counts.get(channel.id, 0),
                 channel.metadata.get("offered_qos_profiles", ""),
             )
-    spans = [contents.span_ns for _, contents in files if contents.span_ns]
+    chunks = [chunk for _, contents in files for chunk in contents.chunks]
     if not any(topic.messages for topic in topics.values()):
         raise BagError(f"{files[0][0]} holds no message: did the recorder run while the UAVs did?")
     return Bag(
@@ -109,8 +100,8 @@ def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
         topics=topics,
         attachments=tuple(dict.fromkeys(name for _, c in files for name in c.attachments)),
         metadata=metadata,
-        start_ns=min((first for first, _ in spans), default=0),
-        end_ns=max((last for _, last in spans), default=0),
+        start_ns=min((chunk.first_ns for chunk in chunks), default=0),
+        end_ns=max((chunk.last_ns for chunk in chunks), default=0),
         cut=any(contents.damage.cut for _, contents in files),
         salvage=salvage,
         files=files,
@@ -148,15 +139,16 @@ def _read_contents(file: Path, salvage: bool) -> Contents:
         if not salvage:
             raise
         contents = None
-    if contents is not None:
-        return contents
-    contents = mcap_file.scan_records(file)
-    if not salvage and contents.damage.cut:
+    contents = contents or mcap_file.scan_records(file)
+    damage = contents.damage
+    if not salvage and damage.cut:
         held = sum(contents.counts.values())
         raise DamagedError(
             f"{file} is cut, its end is missing (the recording was killed, or still runs): "
             f"{held} messages are readable; rescue them with: ptnsbc bag repair"
         )
+    if not salvage and damage:
+        raise mcap_file.damaged(file, "a chunk" if damage.chunks else "times of messages")
     return contents
 
 
@@ -164,17 +156,17 @@ def find_problems(bag: Bag) -> list[str]:
     """Problems of an open bag, none when it is whole; reads all of it with its checksums."""
     problems = []
     for path, contents in bag.files:
-        if contents.damage.cut:
-            problems.append(f"{path.name}: its end is missing")
-            continue
-        try:
-            held = sum(1 for _ in mcap_file.messages_in_file_order(path, None, salvage=False))
-        except DamagedError:
-            problems.append(f"{path.name}: a damaged chunk")
-            continue
+        damage = replace(contents.damage)
+        held = sum(1 for _ in mcap_file.messages(path, contents, None, damage))
         summarised = sum(contents.counts.values())
-        if held != summarised:
+        if damage.cut:
+            problems.append(f"{path.name}: its end is missing")
+        elif damage.chunks:
+            problems.append(f"{path.name}: a damaged chunk")
+        elif held != summarised:
             problems.append(f"{path.name}: {held} messages, its summary says {summarised}")
+        if damage.times:
+            problems.append(f"{path.name}: a time that no clock shows")
     path = bag.path.with_name(METADATA_FILE)
     if not path.is_file():
         return [*problems, f"{METADATA_FILE} is missing"]

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.bag import mcap_file
-from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage, MessageRecord, walk
+from ptnsbc_io.bag.mcap_file import BagMessage, Damage
 from ptnsbc_io.bag.metadata import (
     BagError,
     DamagedError,
@@ -21,7 +22,7 @@ from ptnsbc_io.bag.metadata import (
     is_latched,
     offered_profiles,
 )
-from ptnsbc_io.bag.reader import mcap_files, read_bag
+from ptnsbc_io.bag.reader import Bag, read_bag
 from ptnsbc_io.bag.writer import BagWriter
 
 _PART = ".part"
@@ -39,6 +40,7 @@ class Repaired(NamedTuple):
     original: Path | None  # where the damaged bag is now; None: it was discarded
     messages: int
     damaged_chunks: int  # left out, with all messages in them
+    wrong_times: int  # log times that no clock shows, mended
     cut: bool  # the end was missing
     last_ns: int  # log time of the newest message [ns]
 
@@ -81,21 +83,21 @@ def repair(
     for leftover in temporaries:
         if leftover.exists():
             raise BagError(f"{leftover} exists, of a repair that was interrupted: remove it first")
-    files = mcap_files(source)
-    contents = [_read_contents(file) for file in files]
-    total = sum(sum(one.counts.values()) for one in contents)
-    if total == 0:
-        raise BagError(f"{source}: no message can be read: there is nothing to rescue")
-    writer = _writer(temporary, files, contents)
+    bag = read_bag(source, salvage=True)
+    writer = _writer(temporary, bag)
     writer.name = target.name
+    total = sum(topic.messages for topic in bag.topics.values())
     damage = Damage()
     done = last_ns = 0
     try:
         with writer:
-            for log_ns in _copy(writer, files, contents, damage):
-                done, last_ns = done + 1, max(last_ns, log_ns)
+            for message in _rescued(writer, bag, damage):
+                writer.write(*message)
+                done, last_ns = done + 1, max(last_ns, message.stamp_ns)
                 if done % _PROGRESS_EVERY == 0 or done == total:
                     advance(done, total)
+        if not done:
+            raise BagError(f"{source}: no message can be read: there is nothing to rescue")
         original: Path | None = source if moved is None else source.rename(moved)
         temporary.rename(target)
         if discard and original is not None:
@@ -105,66 +107,32 @@ def repair(
         for leftover in temporaries:
             shutil.rmtree(leftover, ignore_errors=True)
         raise
-    return Repaired(target, original, total, damage.chunks, damage.cut, last_ns)
+    return Repaired(target, original, done, damage.chunks, damage.times, bag.cut, last_ns)
 
 
-def _copy(
-    writer: BagWriter, files: list[Path], found: list[Contents], damage: Damage
-) -> Iterator[int]:
-    """Write every readable message; yields the log time of each."""
-    for file, contents in zip(files, found, strict=True):
+def _rescued(writer: BagWriter, bag: Bag, damage: Damage) -> Iterator[BagMessage]:
+    """Every readable message; each file of the bag is one of the writer's too."""
+    for file, contents in bag.files:
         writer.split()
-        topics = {number: channel.topic for number, channel in contents.channels.items()}
-        with mcap_file.open_mcap(file) as stream:
-            for record in walk(stream, damage):
-                if isinstance(record, MessageRecord) and record.channel_id in topics:
-                    topic, log_ns = topics[record.channel_id], record.log_ns
-                    writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
-                    yield log_ns
+        damage.chunks += contents.damage.chunks
+        yield from mcap_file.messages(file, contents, None, damage)
 
 
-def _read_contents(file: Path) -> Contents:
-    """The contents by the records; the summary completes what a damaged first chunk declared."""
-    found = mcap_file.scan_records(file)
-    try:
-        summary = mcap_file.read_summary(file)
-    except DamagedError:
-        summary = None
-    if summary is not None:
-        found.schemas = {**summary.schemas, **found.schemas}
-        found.channels = {**summary.channels, **found.channels}
-        found.metadata = {**summary.metadata, **found.metadata}
-    return found
-
-
-def _writer(folder: Path, files: list[Path], found: list[Contents]) -> BagWriter:
-    topics = _topics(found)
+def _writer(folder: Path, bag: Bag, *, overwrite: bool = False) -> BagWriter:
+    """A writer with the topics, attachments and metadata of a bag, each as its first file has it."""
+    topics: dict[str, TopicDeclaration] = {}
     records: dict[str, Mapping[str, str]] = {}
-    for contents in found:
+    for _, contents in bag.files:
         records |= contents.metadata
-    foreign = {topic.message_encoding for topic in topics} - {"cdr"}
-    if foreign:
-        raise BagError(
-            f"{files[0]}: messages in {', '.join(sorted(foreign))}: expected cdr (ROS 2)"
-        )
-    records.pop("rosbag2", None)  # the writer makes a new one
-    attachments = {
-        record.name: bytes(record.data) for file in files for record in mcap_file.attachments(file)
-    }
-    writer = BagWriter(folder, topics, attachments=attachments)
-    writer.records.update(records)
-    return writer
-
-
-def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
-    """The topics of the files of a bag as the first of them declares each, for a writer."""
-    found: dict[str, TopicDeclaration] = {}
-    for contents in files:
         for channel in contents.channels.values():
             schema = contents.schemas.get(channel.schema_id)
-            if schema is None or channel.topic in found:
+            if schema is None or channel.topic in topics:
                 continue
-            found[channel.topic] = TopicDeclaration(
+            if channel.message_encoding != "cdr":
+                raise BagError(
+                    f"{bag.path}: messages in {channel.message_encoding}: expected cdr (ROS 2)"
+                )
+            topics[channel.topic] = TopicDeclaration(
                 channel.topic,
                 schema.name,
                 schema.data,
@@ -174,7 +142,14 @@ def _topics(files: Sequence[Contents]) -> list[TopicDeclaration]:
                 offered_profiles(channel.metadata.get("offered_qos_profiles", "")),
                 dict(channel.metadata),
             )
-    return list(found.values())
+    attachments = {}
+    for name in bag.attachments:
+        with suppress(DamagedError):
+            attachments[name] = bag.attachment(name)
+    writer = BagWriter(folder, list(topics.values()), attachments=attachments, overwrite=overwrite)
+    records.pop("rosbag2", None)  # the writer makes a new one
+    writer.records.update(records)
+    return writer
 
 
 def trim(
@@ -212,18 +187,12 @@ def trim(
             f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
             f"expected times from 0 s to {last:g} s"
         )
-    writer = BagWriter(
-        target,
-        _topics([contents for _, contents in bag.files]),
-        attachments={name: bag.attachment(name) for name in bag.attachments},
-        metadata=bag.metadata,
-        overwrite=overwrite,
-    )
+    writer = _writer(target, bag, overwrite=overwrite)
     total = sum(topic.messages for topic in bag.topics.values())
     done = 0
     with writer:
         for done, message in enumerate(kept(), start=1):
-            writer.write(message.topic, message.stamp_ns, message.data)
+            writer.write(*message)
             if done % _PROGRESS_EVERY == 0:
                 advance(done, total)
     return done

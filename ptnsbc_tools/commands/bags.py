@@ -132,6 +132,8 @@ def repair(
     lost = ["the end was missing"] if made.cut else []
     if made.damaged_chunks:
         lost.append(f"{console.counted(made.damaged_chunks, 'damaged chunk')} left out")
+    if made.wrong_times:
+        lost.append(f"{console.counted(made.wrong_times, 'wrong log time')} mended")
     rescued = console.counted(made.messages, "message")
     print(f"{rescued} rescued; {'; '.join(lost) or 'nothing was missing'}")
     print(f"bag: {made.bag}")

@@ -145,10 +145,40 @@ def test_a_chunk_of_zeros_is_damaged(tmp_path):
     assert readable(path) == 1
 
 
-def test_times_that_no_clock_shows_are_damage(tmp_path):
-    path = file(tmp_path / "late.mcap", chunk(message(2**63) + message(5), "zstd"))
-    assert readable(path) == 1
-    assert readable(file(tmp_path / "last.mcap", message(2**64 - 1))) == 1
+@pytest.mark.parametrize("packed", [True, False])
+def test_times_that_no_clock_shows_cost_no_message(tmp_path, packed):
+    """Nine of them cost 1387 messages: all of their chunks."""
+    wrong = record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 2**63, 6) + EPOCH)
+    records = message(5, EPOCH) + wrong + message(2**64 - 1, EPOCH) + message(7, EPOCH)
+    path = file(tmp_path / "late.mcap", chunk(records, "zstd") if packed else records)
+    with pytest.raises(BagError, match=r"is damaged|is cut"):
+        read_bag(path)
+    made = repair(path)
+    assert (made.messages, made.wrong_times, made.damaged_chunks) == (5, 2, 0)
+    # The time of publication, or the time of the message before.
+    assert [one.stamp_ns for one in read_bag(made.bag).messages()] == [0, 5, 6, 6, 7]
+    assert find_problems(read_bag(made.bag)) == []
+
+
+def test_times_of_a_bag_that_ends_well_are_damage_too(tmp_path):
+    from mcap.writer import Writer
+
+    path = tmp_path / "late.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(TOPIC.type, "ros2msg", b"")
+        topic = writer.register_channel(TOPIC.name, "cdr", schema)
+        for log_ns in (1, 2**64 - 1, 3):
+            writer.add_message(topic, log_ns, EPOCH, 2)
+        writer.finish()
+    with pytest.raises(BagError, match="is damaged"):
+        read_bag(path)
+    assert find_problems(read_bag(path, salvage=True)) == [
+        "late.mcap: a time that no clock shows",
+        "metadata.yaml is missing",
+    ]
+    assert [one.stamp_ns for one in read_bag(repair(path).bag).messages()] == [1, 2, 3]
 
 
 def test_a_pipe_is_no_bag(tmp_path):

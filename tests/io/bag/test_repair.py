@@ -210,7 +210,7 @@ def test_single_file(flight, tmp_path):
         (lambda p: None, "no such bag"),
         (lambda p: p.write_bytes(b""), "is empty"),
         (lambda p: p.write_bytes(b"SQLite format 3\0" + bytes(100)), "is not MCAP"),
-        (lambda p: p.write_bytes(b"\x89MCAP0\r\n"), "no message can be read"),
+        (lambda p: p.write_bytes(b"\x89MCAP0\r\n"), "holds no message"),
         (lambda p: p.mkdir(), r"no \.mcap file"),
     ],
 )
