@@ -47,6 +47,7 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.emergency import APART, LAND, Order, RuntimeFolderError, runtime_folder
 from ptnsbc_nodes.runtime.environment import named_domain
+from ptnsbc_nodes.runtime.pacing import clock_of
 from ptnsbc_sim.counters import STATUS_HZ
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import PlannerLimits
@@ -76,7 +77,7 @@ class _TopicPorts(BridgePorts):
         self, node: Node, endpoints: Endpoints, scenario: Scenario, uav_id: int, recorders: int
     ) -> None:
         publisher = endpoints.publisher
-        super().__init__(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
+        super().__init__(time.monotonic, clock_of(node))
         self._uav_id = uav_id
         self._odometry = OdometryTemplate(WORLD_FRAME, body_frame(uav_id, endpoints.fleet))
         self._send_odom = publisher(topics.odom(uav_id), 1 + recorders)

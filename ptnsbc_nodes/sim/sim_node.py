@@ -40,7 +40,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, RECORDER
-from ptnsbc_nodes.runtime.pacing import Latency, Pace, Progress
+from ptnsbc_nodes.runtime.pacing import Latency, Pace, Progress, clock_of
 from ptnsbc_nodes.runtime.watchdog import LockstepWatchdog
 from ptnsbc_sim.counters import STATUS_HZ, status_every
 from ptnsbc_sim.disturbances.faults import gone
@@ -294,6 +294,7 @@ class RealTimeSim(SimNode):
     ) -> None:
         super().__init__(node, scenario, edges, on_end)
         self.vehicles = RealTimeWorld(scenario, self._world, self._publishers.publish)
+        self.now_ns = clock_of(node)
         for i in self._world.ids:
             decode = in_order(checked_wrench, RealTimeStamps(self.now_ns))
             self.endpoints.listen(topics.wrench_setpoint(i), decode, partial(self._on_wrench, i))
@@ -301,10 +302,6 @@ class RealTimeSim(SimNode):
         self._timer = node.create_timer(seconds(scenario.timing.dt_ns), self._on_tick)
         self.rest_s = self._until_tick_s
         self.endpoints.last_word = self._on_status_timer
-
-    def now_ns(self) -> int:
-        """The time of the node's clock."""
-        return int(self.node.get_clock().now().nanoseconds)
 
     def _on_wrench(self, uav_id: int, wrench: Stamped) -> None:
         self.vehicles.wrenches[uav_id] = wrench

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.door import LockstepStamps, RealTimeStamps
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
-from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
+from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker, clock_of
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import StepTime, UavFlight, step_time
 from ptnsbc_sim.counters import status_every
@@ -31,18 +31,13 @@ class RealTimeClock:
 
     def __init__(self, node: Node, scenario: Scenario) -> None:
         self._node = node
+        self.now_ns = self.next_ns = clock_of(node)
         self._period_ns = scenario.timing.dt_ns
         self._start_ns = self.now_ns()
         self.pace = Pace(scenario.timing.dt_ns)
         self._ticker: Ticker | None = None
         self._compared: Senders | None = None  # those whose clocks are compared with ours
         self._offsets = ClockOffsetMonitor(())
-
-    def now_ns(self) -> int:
-        """Time of the flight."""
-        return int(self._node.get_clock().now().nanoseconds)
-
-    next_ns = now_ns
 
     def epoch_ns(self, *, first: bool, at_once: bool) -> int:
         """The epoch of a leg that is announced now."""
