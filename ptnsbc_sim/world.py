@@ -63,6 +63,7 @@ class World:
         self._scenario = scenario
         self._row = {uav_id: row for row, uav_id in enumerate(self.ids)}
         plants = [plant_config(scenario, uav_id) for uav_id in self.ids]
+        self._bodies = plants  # of inertia and motors, which no disturbance changes
         self._plants = kernel_list(plants)
         self._states = start_states(scenario, self._plants)
         self.ticks = dict.fromkeys(self.ids, 0)
@@ -130,7 +131,7 @@ class World:
         """The wrench (6,) of a vehicle whose setpoint is late: its inner loop keeps the attitude."""
         row = self._row[uav_id]
         rates = self._truth[row][10:13]
-        return keeping_attitude(wrench, rates, self._plants[row], seconds(self._dt_ns))
+        return keeping_attitude(wrench, rates, self._bodies[row], seconds(self._dt_ns))
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""

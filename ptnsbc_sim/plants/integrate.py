@@ -86,7 +86,14 @@ def keeping_attitude(wrench: Array, rates: Array, plant: PlantConfig, period_s: 
         plant: Has inertia and motors.
         period_s: Length of a control period [s].
     """
-    momentum = np.array(plant.inertia) * rates
+    # In floats: the sim does this for all vehicles at once, when the computer has no time.
+    p, q, r = rates.tolist()
+    x, y, z = (inertia * rate for inertia, rate in zip(plant.inertia, (p, q, r), strict=True))
+    decay_s = 2.0 * max(period_s, plant.motor_lag_s)
     held = wrench.copy()
-    held[3:6] = np.cross(rates, momentum) - momentum / (2.0 * max(period_s, plant.motor_lag_s))
+    held[3:6] = (
+        q * z - r * y - x / decay_s,
+        r * x - p * z - y / decay_s,
+        p * y - q * x - z / decay_s,
+    )
     return held
