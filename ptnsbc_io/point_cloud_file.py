@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import io
-import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.number_table import read_table
 
 MOST_BYTES = 100_000_000
 """Of a file."""
 
-_OTHER_UNITS = {"ms", "msec", "us", "ns", "deg", "degrees", "cm", "mm", "km", "ft", "feet"}
 _LONGEST_HEADER = 10_000
 _MOST_COUNT = 10_000  # of numbers in one field
 _FARTHEST_M = 1e6
@@ -67,32 +65,13 @@ def read_points(path: Path) -> Array:
 
 
 def _csv(data: bytes) -> Array:
-    """Rows x, y, z and what else a row may have; a first row of names is left out."""
+    """Rows x, y, z and what else a row may have."""
     try:
-        lines = data.decode("utf-8-sig").splitlines()  # Excel begins a CSV file with a mark
+        return read_table(data.decode(), ("x", "y", "z"), loose=True)
     except UnicodeDecodeError as error:
         raise PointCloudFileError(f"byte {error.start}: expected UTF-8 text") from None
-    rows = [line for line in lines if line.strip() and not line.startswith("#")]
-    for skipped in (0, 1) if len(rows) > 1 else (0,) * len(rows):
-        try:
-            points = np.loadtxt(rows[skipped:], delimiter=",", usecols=(0, 1, 2), ndmin=2)
-        except (ValueError, IndexError):
-            continue
-        if skipped and (wrong := contradiction(rows[0].split(","), "x, y, z")):
-            raise PointCloudFileError(wrong)
-        return points
-    raise PointCloudFileError("expected rows of numbers x, y, z, with commas between them")
-
-
-def contradiction(cells: Sequence[str], columns: str) -> str:
-    """The first name of a row that contradicts the order or the units of the columns, in words; empty without one."""
-    expected = re.findall(r"\b(?:t|v?[xyz]|yaw)\b", columns)
-    for place, cell in enumerate(cells):
-        words = set(re.findall("[a-z]+", cell.lower()))
-        moved = words & set(expected) - set(expected[place : place + 1])
-        if moved or words & _OTHER_UNITS or re.match(r"\s*[-+.]?\d", cell):
-            return f"column {cell.strip()[:40]}: expected {columns} with commas between them, in m, s and rad"
-    return ""
+    except ValueError as error:
+        raise PointCloudFileError(str(error)) from None
 
 
 def _points(
@@ -168,6 +147,10 @@ def _npy(data: bytes) -> Array:
         raise PointCloudFileError("expected an array that numpy.save has written") from None
     if not isinstance(found, np.ndarray) or found.ndim != 2 or found.shape[1] < 3:
         raise PointCloudFileError("expected an array of shape (N, 3)")
+    if len(found) == 3 < found.shape[1]:
+        raise PointCloudFileError(
+            f"an array of shape {found.shape}: expected (N, 3), a row for each point: save its transpose"
+        )
     if found.dtype.kind not in "fiu":
         raise PointCloudFileError(f"{found.dtype}: expected an array of numbers")
     return found[:, :3].astype(np.float64)

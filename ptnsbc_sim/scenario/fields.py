@@ -5,18 +5,13 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 
 from __future__ import annotations
 
-import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
-
-from ptnsbc_core.types import Array
-from ptnsbc_io.point_cloud_file import contradiction
 
 LARGEST = 1e12
 """Size of the largest number of a quantity: the laws square and cube them."""
@@ -176,38 +171,3 @@ class Wave(BaseModel):
 
 _AnyWave = Annotated[Wave, BeforeValidator(_wave)]
 Waves = Annotated[tuple[_AnyWave, _AnyWave, _AnyWave], BeforeValidator(three)]
-
-
-def rows_of(text: str, names: str, widths: Sequence[int]) -> Array:
-    """The rows (R, W) of a CSV text, without comments and a first row of names.
-
-    Args:
-        text: the text.
-        names: of the columns, for messages.
-        widths: numbers that a row may have, all of them equally many.
-
-    Raises:
-        ValueError: a row that is none, in words that follow a key.
-    """
-    rows: list[list[float]] = []
-    headed = False
-    for number, cells in enumerate(csv.reader(text.splitlines()), 1):
-        if not cells or cells[0].lstrip().startswith("#"):
-            continue
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            if not rows and not headed:
-                headed = True
-                if wrong := contradiction(cells, names):
-                    raise ValueError(f"row {number}: {wrong}") from None
-                continue
-            raise ValueError(
-                f"row {number}: expected numbers {names} with commas between"
-            ) from None
-        if len(row) not in widths or len(row) != len((rows or [row])[0]):
-            raise ValueError(f"row {number}: {len(row)} numbers: expected {names}")
-        if not np.isfinite(row).all():
-            raise ValueError(f"row {number}: expected finite numbers")
-        rows.append(row)
-    return np.array(rows) if rows else np.zeros((0, widths[0]))

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, UavId, Vec3, rows_of, three
+from ptnsbc_io.number_table import read_table
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, UavId, Vec3, three
 
 Factor = Annotated[Number, Field(ge=-1000, le=1000)]
 
@@ -29,7 +30,7 @@ class ShapeBlock(Block):
     """*file* Name of the file, looked for beside the scenario: a row x, y, z for each follower, in the order of `uavs`.
     It becomes `samples` when it is read, so that a bag holds it."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
-    """*file* The content of such a file [m]; a first row of names is left out."""
+    """*file* The content of such a file [m], or names and units of the columns in the first row."""
 
 
 class Reshaping(Block):
@@ -126,16 +127,26 @@ def named_places(block: ShapeBlock, size: int) -> Array:
     if block.samples is None:
         raise ValueError("file: missing: expected the name of a CSV file, or samples")
     try:
-        places = rows_of(block.samples, "x, y, z", (3,))
+        places = offsets_of(block.samples)
     except ValueError as error:
         raise ValueError(f"samples: {error}") from None
     if len(places) != size - 1:
         raise ValueError(
             f"samples: {len(places)} places: expected {size - 1}, one for each follower"
         )
-    if np.abs(places).max(initial=0.0) > 1e6:
-        raise ValueError("samples: expected no number beyond 1e6 m")
     return np.concatenate([np.zeros((1, 3)), places])
+
+
+def offsets_of(text: str) -> Array:
+    """The rows x, y, z [m] of a table of places.
+
+    Raises:
+        ValueError: a row that is none, in words that follow a key.
+    """
+    places = read_table(text, ("x", "y", "z"))
+    if np.abs(places).max(initial=0.0) > 1e6:
+        raise ValueError("expected no number beyond 1e6 m")
+    return places
 
 
 def changed(change: Reshaping, place: Array) -> Array:

@@ -21,7 +21,8 @@ from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.trajectory import COEFFICIENTS, curve_samples
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array, Trajectory
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3, rows_of
+from ptnsbc_io.number_table import read_table
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Number, Positive, Vec3
 from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, YAW, conditions, curve_of
 from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 
@@ -63,8 +64,8 @@ class SetpointTrajectory(Block):
     file: str | None = None
     """CSV file that plays the stream, looked for beside the scenario. It becomes `samples` when it is read."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
-    """The content of such a file: rows t [s], x, y, z [m], vx, vy, vz [m/s], yaw [rad]; a first row of names is left
-    out. No topic is heard then."""
+    """The content of such a file: rows t [s], x, y, z [m], vx, vy, vz [m/s], yaw [rad], or names and
+    units of the columns in the first row. No topic is heard then."""
 
 
 class Setpoint(NamedTuple):
@@ -120,7 +121,7 @@ def setpoints_of(text: str) -> tuple[Setpoint, ...]:
     Raises:
         ValueError: a row that is no setpoint, in words that follow a key.
     """
-    rows = rows_of(text, "t, x, y, z, vx, vy, vz, yaw", (8,))
+    rows = read_table(text, ("t", "x", "y", "z", "vx", "vy", "vz", "yaw"))
     if late := np.flatnonzero(np.diff(rows[:, 0]) <= 0.0).tolist():
         row = late[0] + 1
         raise ValueError(

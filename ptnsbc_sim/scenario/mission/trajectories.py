@@ -26,7 +26,8 @@ from ptnsbc_core.types import (
     Array,
     Trajectory,
 )
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3, rows_of
+from ptnsbc_io.number_table import read_table
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
 from ptnsbc_sim.scenario.mission.pieces import WIDTH, curve_by, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
@@ -134,7 +135,8 @@ class Csv(Block):
     """Name of the file, looked for beside the scenario; at most 2000 rows and 200 000 characters. It becomes `samples`
     when it is read, so that a bag holds it."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
-    """The content of such a file: rows t [s] from 0, x, y, z [m], yaw [rad]; a first row of names is left out."""
+    """The content of such a file: rows t [s] from 0, x, y, z [m], yaw [rad], or names and units of the
+    columns in the first row."""
     yaw_rad: Number = 0.0
     """Heading to hold where the rows have no fifth column."""
     heading: HeadingWord = "fixed"
@@ -240,7 +242,7 @@ def _not_ascending(times: Sequence[float]) -> int | None:
     """Index of the first time that is not 0 at the start or not after the one before; None: all are well."""
     if times[0] != 0.0:
         return 0
-    late = [k for k, (a, b) in enumerate(pairwise(times), 1) if b - a < _LEAST_GAP_S]
+    late = [k for k, (a, b) in enumerate(pairwise(times), 1) if b - a < _LEAST_GAP_S - 1e-9]
     return late[0] if late else None
 
 
@@ -253,9 +255,11 @@ def samples_of(text: str | None) -> Array:
     """
     if text is None:
         raise ValueError("missing: expected file: NAME, or samples: with its content")
-    table = rows_of(text, "t, x, y, z and, in all rows or none, yaw", (4, 5))
+    table = read_table(text, ("t", "x", "y", "z", "yaw"), optional=1)
     if not 2 <= len(table) <= MOST_POINTS:
-        raise ValueError(f"{len(table)} rows: expected 2 to {MOST_POINTS}")
+        raise ValueError(
+            f"{len(table)} rows: expected 2 to {MOST_POINTS}, {_LEAST_GAP_S:g} s apart or more"
+        )
     if _too_far(table):
         raise ValueError(f"expected no number beyond {_FARTHEST:g}")
     wrong = _not_ascending(table[:, 0].tolist())

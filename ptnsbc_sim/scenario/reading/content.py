@@ -19,9 +19,17 @@ from typing import Any, get_args
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, MapError, map_text
 from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES
-from ptnsbc_sim.scenario.mission.shapes import ShapeBlock
-from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
+from ptnsbc_sim.scenario.mission.stream import setpoints_of
+from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock, samples_of
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown
+
+_READERS: Mapping[str, Callable[[str], object]] = {
+    "csv": samples_of,
+    "file": offsets_of,
+    "stream": setpoints_of,
+}
+"""Of the files of a trajectory, a shape and a stream; each raises ValueError with the row that does not fit."""
 
 
 def _tables(node: Any, key: str = "") -> Iterator[tuple[str, Tree]]:
@@ -78,8 +86,12 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
         raise ScenarioError(
             f"{where}.file: {path}: {words}: expected a readable CSV file"
         ) from None
-    if len(text) > MOST_SAMPLES:
-        raise ScenarioError(f"{where}.file: {path}: expected at most {MOST_SAMPLES} characters")
+    try:
+        if len(text) > MOST_SAMPLES:
+            raise ValueError(f"expected at most {MOST_SAMPLES} characters: leave rows out")
+        _READERS[block["kind"]](text)
+    except ValueError as error:
+        raise ScenarioError(f"{where}.file: {path}: {error}") from None
     return text
 
 

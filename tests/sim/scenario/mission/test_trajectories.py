@@ -190,15 +190,34 @@ def test_waypoints_that_are_none(change: dict[str, Any], words: str) -> None:
         ("0,0,0,1\n1,0,1e300,1\n", "expected no number beyond 1e"),
         ("0,0,0,1\n0,0,0,1\n", "row 2 of numbers, t = 0: expected times"),
         ("1,0,0,1\n2,0,0,1\n", "row 1 of numbers, t = 1: expected times"),
-        ("t,y,x,z\n0,0,0,1\n1,0,0,1\n", "row 1: column y: expected t, x, y, z"),
-        ("Time [msec],x,y,z\n0,0,0,1\n1,0,0,1\n", r"row 1: column Time \[msec\]: expected t"),
-        ("t,x,y,z,yaw_deg\n0,0,0,1,9\n1,0,0,1,9\n", "row 1: column yaw_deg: expected .* rad"),
-        ("0,O,0,1\n0,0,0,1\n1,0,0,1\n", "row 1: column 0: expected t"),
+        ("t,x,y,alt\n0,0,0,1\n1,0,0,1\n", "row 1: column t, x, y, alt: expected one named z"),
     ],
 )
 def test_rows_that_are_none(text: str, words: str) -> None:
     with pytest.raises(PtnsbcError, match=r"leader\.trajectory\.samples: " + words):
         scenario(kind="csv", samples=text)
+
+
+def test_a_table_that_does_not_fit_is_named_with_its_file_and_the_rule(tmp_path: Path) -> None:
+    for text, words in (
+        ("t,x,y,z_ned\n0,0,0,1\n1,0,0,1\n", "row 1: column z_ned: expected one named z, in m"),
+        (
+            "".join(f"{k / 1000},0,0,{k}\n" for k in range(100)),
+            r"row 2 of numbers, t = 0\.001: .* by 0\.01 s or more",
+        ),
+        (
+            "".join(f"{k},0,0,1\n" for k in range(2001)),
+            r"2001 rows: expected 2 to 2000, 0\.01 s apart",
+        ),
+    ):
+        (tmp_path / "path.csv").write_text(text)
+        with pytest.raises(PtnsbcError, match=r"trajectory\.file: .*path\.csv: " + words):
+            scenario(kind="csv", file=str(tmp_path / "path.csv"))
+
+
+def test_a_table_of_100_hz_is_flown_whatever_its_times_round_to() -> None:
+    text = "".join(f"{k / 100},{k / 100},0,6\n" for k in range(200))
+    assert curve_state(curve(kind="csv", samples=text), 1.5).position[0] == pytest.approx(1.5)
 
 
 def test_a_file_that_is_not_there() -> None:
