@@ -267,6 +267,7 @@ class VehicleRecord:
     mode: str = ""
     place: str = ""  # "(x, y, z) m" in the world
     fate: str = ""  # what the vehicle does without its bridge
+    frame: str = ""  # "x y z" [m]: the origin of its local frame in the world, once it was armed
     fault: str = ""
     ended: bool = False  # the bridge has ended in order
     written_s: float = 0.0  # wall time
@@ -354,15 +355,6 @@ def forget_dead(folder: Path) -> None:
     for record in list(records(folder)):
         if not record.alive:
             record_path(folder, record.name).unlink(missing_ok=True)
-
-
-def last_word(folder: Path, name: str) -> str:
-    """Place and present action of a vehicle whose bridge has ended; empty when it is not armed or not known."""
-    for record in records(folder):
-        if record.name == name and record.armed:
-            fate = f": {record.fate}" if record.fate else ""
-            return f"its vehicle was {record.state}{fate}; ptnsbc stop reaches it past its bridge"
-    return ""
 
 
 def summary(folder: Path, names: Collection[str]) -> str:

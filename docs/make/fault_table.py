@@ -288,12 +288,14 @@ ANSWERS = (
         "the vehicle, by the silence; the launcher, by the exit code",
         "as the vehicle is set",
         _HOLD,
-        "the failsafe of the vehicle acts, and everybody keeps clear of it; at the end the launcher lands it past the "
-        "bridge; exit code 1",
-        _NEVER,
+        "the failsafe of the vehicle acts, and everybody keeps clear of it; the launcher starts another bridge, up to "
+        "three times; where that fails, it lands the vehicle past it at the end; exit code 1",
+        f"when another bridge has had setpoints for {RECOVERED_S:g} s, and no pilot has taken over",
         (
             f"{_BRIDGE}test_fleet_comings.py::test_the_place_of_a_vehicle_without_a_bridge_is_kept_clear",
             f"{_BRIDGE}test_bridge.py::test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
+            f"{_BRIDGE}test_bridge.py::test_another_bridge_holds_the_vehicle_of_one_that_died_and_brings_it_back",
+            "tests/nodes/fleet/test_supervisor.py::test_a_bridge_that_dies_in_flight_is_replaced_three_times_at_most",
             "tests/nodes/fleet/test_emergency_stop.py::test_a_vehicle_that_a_dead_bridge_left_armed_is_landed_and_waited_for",
             f"{_BRIDGE}test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",
         ),

@@ -112,6 +112,12 @@ class Bridge:
         on_ground = "it stands on the ground, its rotors turn"
         return on_ground if self.procedure.stands else self.maintenance.fate
 
+    def take_over(self, frame: str) -> None:
+        """Fly on with the vehicle of a bridge that died, in its frame of the world, if this one may fly any."""
+        if frame and self.procedure.allow_arming:
+            self.state_publisher.world.resume(frame)
+            self.procedure.takes_over = True
+
     def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
         return self.watch.reference.flight_s(self.ports.ros_ns())

@@ -282,6 +282,15 @@ class WorldFrame:
         """True if this bridge needs the leader's place."""
         return not (self._given or self._leads or self._surveyed is not None)
 
+    @property
+    def frame(self) -> str:
+        """The offset of a vehicle that has been armed, as `resume` takes it; empty before."""
+        return " ".join(map(repr, self.offset.tolist())) if self._settled else ""
+
+    def resume(self, frame: str) -> None:
+        """Go on with the offset of a bridge that has left its vehicle in flight."""
+        self.offset, self.missing, self.frozen = np.array(frame.split(), dtype=float), "", True
+
     def leader_at(self, place: GeoPoint) -> None:
         """Take the leader's place on the Earth from its bridge."""
         if not self._given and not self._leads:
@@ -290,7 +299,7 @@ class WorldFrame:
 
     def define_by_leader(self, local_enu: Array) -> GeoPoint | None:
         """The leader's place on the Earth at its first position (3,) [m]; None for others and afterwards."""
-        if not self._leads or self._anchor is None or self._reference is not None:
+        if not self._leads or self._settled or self._anchor is None or self._reference is not None:
             return None
         away = local_enu - self._anchor.local_enu
         self._reference = frames.point_at(away, self._anchor.place, self._radius_m)

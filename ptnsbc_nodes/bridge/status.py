@@ -70,6 +70,7 @@ class OrderDesk:
         for left in records(folder) if folder else ():  # by a bridge that has died in flight
             same = (left.name, left.sysid, left.connect) == (name, link.sysid, link.connect)
             if same and left.orphaned:
+                bridge.take_over(left.frame)
                 self._fixed = replace(
                     left, pid=os.getpid(), signing_key=key, heard=False, ended=False
                 )
@@ -138,6 +139,7 @@ def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
         mode=vehicle.mode_name,
         place=bridge.placement.text,
         fate=bridge.fate if vehicle.armed else "",
+        frame=bridge.state_publisher.world.frame,
     )
 
 

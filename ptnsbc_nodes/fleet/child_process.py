@@ -371,9 +371,12 @@ class Crew:
         """Start a process, and take its node to active if the launcher drives its life cycle."""
         self.children.append(self._launch(command))
 
-    def start_again(self, child: ChildProcess) -> None:
-        """Start a process that has ended once more, in its place."""
+    def start_again(self, child: ChildProcess, *, by_itself: bool = False) -> None:
+        """Start a process that has ended once more, in its place; `by_itself`: its node activates itself."""
         command = child.command
+        if by_itself:
+            words = tuple(word for word in command.arguments if word != "--managed")
+            command = replace(command, arguments=words, managed="")
         if child.name == RECORDER:  # the bag that is there is its own, and empty
             command = replace(command, arguments=(*command.arguments, "--overwrite"))
         self.children[self.children.index(child)] = self._launch(command)

@@ -151,7 +151,7 @@ def _fly(launch: Launch, processes: Sequence[ProcessCommand]) -> FleetResult:
     summaries = [child.reports.summary for child in crew.children if child.name == RECORDER]
     return FleetResult(
         processes=crew.children,
-        died=tuple(name for name in died if name not in killed),
+        died=tuple(dict.fromkeys(name for name in died if name not in killed)),
         killed=killed,
         interrupted=stop.came,
         bag=options.bag,

@@ -1,6 +1,7 @@
 """The processes of a flight on this computer: what ends and what goes on when one of them dies, and their end in order.
 
 - A UAV's process or its bridge ends: it is named, no process waits for it any longer, the others fly on.
+- A bridge dies and leaves its vehicle in flight: another one takes it over.
 - The recorder ends: the flight goes on without it.
 - The sim ends, or the last UAV: nothing is left to fly, and the flight ends.
 - What runs beside the flight ends: it is named, and nothing changes.
@@ -17,8 +18,9 @@ import math
 import signal
 import time
 
+from ptnsbc_nodes.bridge.procedure.steps import OVER
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency import in_pilots_hands, last_word, summary
+from ptnsbc_nodes.emergency import in_pilots_hands, latched, records, summary
 from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end, fault_lines
 from ptnsbc_nodes.fleet.emergency_stop import land_left_behind, order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
@@ -33,6 +35,8 @@ _LANDING_S = 240.0
 _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _PILOTS_S = 10.0  # a pilot lands when it suits the pilot
 _OVER_S = 3.0
+_GIVEN_UP = {step.value for step in OVER}
+_MOST_BRIDGES = 3  # that take over one vehicle, one after the other
 
 
 class Supervisor:
@@ -137,8 +141,8 @@ class Supervisor:
                 self.died.append(child)
                 if not child.fault:  # it has told that, and is named once more at the end
                     self._progress(child.exit_summary())
-                if word := last_word(self._node.folder, child.name):
-                    self._progress(f"{child.name}: {word}")
+                if self._is_replaced(child):
+                    continue
                 lost.update(child.command.lost)
             for name in lost:
                 self._node.news.lose(name)
@@ -147,6 +151,23 @@ class Supervisor:
             self._progress(f"{name} has ended, on another computer")
             if name.startswith("uav"):
                 self.lost_elsewhere.append(name)
+
+    def _is_replaced(self, child: ChildProcess) -> bool:
+        """Start another bridge for the vehicle that a dead one has left in flight; False if there is none for it."""
+        folder, name = self._node.folder, child.name
+        deaths = sum(dead.name == name for dead in self.died)
+        # An order that holds reaches the vehicle past its bridge, from the bridge's own port.
+        may_fly = deaths <= _MOST_BRIDGES and not latched(folder).what
+        for left in (record for record in records(folder) if record.name == name and record.armed):
+            fate = f": {left.fate}" if left.fate else ""
+            word = f"{name}: its vehicle was {left.state}{fate}"
+            if may_fly and left.orphaned and left.frame and left.step not in _GIVEN_UP:
+                self._progress(f"{word}; another bridge takes it over")
+                self._reported.discard(name)
+                self._crew.start_again(child, by_itself=True)
+                return True
+            self._progress(f"{word}; ptnsbc stop reaches it past its bridge")
+        return False
 
     def end(self) -> None:
         """Land what is in the air and end all processes, the recorder last, so that its bag is complete."""

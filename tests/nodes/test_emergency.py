@@ -20,7 +20,6 @@ from ptnsbc_nodes.emergency import (
     fleet_bridges,
     forget_dead,
     in_pilots_hands,
-    last_word,
     latch,
     latched,
     list_fleet,
@@ -218,17 +217,6 @@ def test_the_record_of_a_dead_bridge_stays_until_it_is_forgotten(tmp_path, dead)
     assert [record.alive for record in records(tmp_path)] == [True, False]
     forget_dead(tmp_path)
     assert [record.name for record in records(tmp_path)] == ["bridge3"]
-
-
-def test_the_last_word_about_a_vehicle_whose_bridge_has_ended(tmp_path):
-    write_record(tmp_path, replace(RECORD, fate="without setpoints it hovers"))
-    assert last_word(tmp_path, "bridge3") == (
-        "its vehicle was armed at (1.0, 2.0, 3.0) m in OFFBOARD: without setpoints it hovers; "
-        "ptnsbc stop reaches it past its bridge"
-    )
-    write_record(tmp_path, replace(RECORD, armed=False))
-    assert last_word(tmp_path, "bridge3") == ""
-    assert last_word(tmp_path, "bridge9") == ""
 
 
 def test_whether_pilots_fly_all_of_them(tmp_path):

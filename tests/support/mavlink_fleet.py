@@ -143,15 +143,20 @@ class FleetUav:
             truth=self.on_truth,
             log=self.on_log,
         )
-        self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
+        self.signer, self.ports = signer, ports
+        self.begin_bridge()
+
+    def begin_bridge(self, frame=""):
+        """A bridge as a process has it that begins; with a frame it takes over from the one that has died."""
+        self.inputs.companions.clear()
+        self.wire.to_bridge.clear()
+        self.inputs.legs += [HeaderFields(*leg) for leg in self.fleet.legs]  # they are latched
+        self.link = MavlinkLink(self.wire, self.vehicle.system, WANTED_MESSAGES, self.signer)
         self.bridge = Bridge(
-            scenario,
-            uav_id,
-            self.link,
-            ports,
-            True,
-            fleet.awaited,
+            self.fleet.scenario, self.id, self.link, self.ports, True, self.fleet.awaited
         )
+        self.bridge.take_over(frame)
+        self.bridge_alive = True
 
     def new_controller(self):
         """The controller as a process has it that begins."""
@@ -271,14 +276,13 @@ class MavlinkFleet:
         self, scenario, kind=None, gnss="rtk", delay_s=0.005, seed=1, spread_m=0.0, count=None
     ):
         self.scenario, self.delay_s, self.now_s = scenario, delay_s, START_S
-        self.uavs = {}
+        self.uavs, self.legs = {}, []
         self.awaited = frozenset(scenario.uav_ids[:count])
         path = scenario.source
         vehicle_starts = starts(Fleet(None, path, gnss, spread_m, None, seed))
         for uav_id, start in list(zip(scenario.uav_ids, vehicle_starts, strict=True))[:count]:
             self.uavs[uav_id] = FleetUav(self, uav_id, start, kind)
         self.ticks = 0
-        self.legs = []
 
     def set_parameter(self, name, value):
         """A parameter of every vehicle that has it."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
-from itertools import pairwise
+from contextlib import contextmanager, suppress
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import yaml
@@ -18,6 +19,7 @@ from domain_ports import first_port
 
 from bench.stand_ins import BASE, SCENARIO
 from ptnsbc_autopilot.fault_lines import send_fault
+from ptnsbc_autopilot.vehicle import AutopilotError
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"
@@ -160,6 +162,27 @@ def mode_of(control, system, other_than, patience_s=60.0):
         mode = json.loads(send_fault(control, f"{system} state"))[0]["mode"]
         if mode != other_than or time.monotonic() > end:
             return mode
+
+
+@contextmanager
+def nearest_pair(control):
+    """The distances [m] between the nearest two stand-ins by their own truth, in a list that grows."""
+    distances_m, over = [], threading.Event()
+
+    def look():
+        while not over.wait(0.1):
+            with suppress(AutopilotError):  # a busy machine answers late
+                states = json.loads(send_fault(control, "all state"))
+                places = [state["position_enu_m"] for state in states]
+                distances_m.append(min(math.dist(*pair) for pair in combinations(places, 2)))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    try:
+        yield distances_m
+    finally:
+        over.set()
+        watcher.join()
 
 
 def pid_of(module, number, logs):

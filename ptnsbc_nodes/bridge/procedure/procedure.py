@@ -8,6 +8,7 @@
     TAKEOFF … FLY   → FAILSAFE: no setpoints  → FLY: they are back  → LAND: nobody takes it over  → YIELDED
                     → APART: a hazard  → LAND                  → LAND: stop, battery, fence   → YIELDED: a pilot
     FLY ⇄ HELD      where UAVs come and go: its controller is away
+    HEARTBEAT       → FAILSAFE: its bridge has died in flight, and this one takes it over
     any step        → KILL → FAILED
 
 `_STATES` is this diagram: what each step waits for, its time limit, and what follows the limit. `_from_any_step` has
@@ -110,6 +111,8 @@ class Procedure:
         self.gave_up = False
         """True once this vehicle has given the formation up, even if it lands in the same tick: all others must too."""
         self.in_pilots_hands = False
+        self.takes_over = False
+        """True if another bridge has died and left the vehicle in flight."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
         self.memory = StepMemory(math.inf)  # the first step begins with the first snapshot
         self.step_before_failsafe = Step.AIRBORNE
@@ -285,7 +288,15 @@ def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 def _heartbeat(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if now.wrong_vehicle:
         return Transition(Step.FAILED, now.wrong_vehicle)
-    return Transition(Step.PARAMETERS) if now.heartbeat_age_s < HEARTBEAT_LOST_S else None
+    if now.heartbeat_age_s >= HEARTBEAT_LOST_S:
+        return None
+    if not flight.takes_over:
+        return Transition(Step.PARAMETERS)
+    if not now.armed:  # it must not take off again
+        return Transition(Step.FAILED, "it came down while its bridge was dead")
+    # It has been without setpoints as behind a bridge that stood still, and comes back in the same way.
+    step = {FlightMode.OTHER: Step.YIELDED, FlightMode.LAND: Step.LAND}.get(now.mode, Step.FAILSAFE)
+    return Transition(step, "its bridge died, and another one took over")
 
 
 def _parameters(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -377,7 +388,8 @@ def _takeoff(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 
 
 def _airborne(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
-    return Transition(Step.FLY) if now.leg in ("form", "hold") else None
+    unprepared = flight.takes_over and now.unprepared  # the others have begun
+    return Transition(Step.FLY) if now.leg in ("form", "hold") and not unprepared else None
 
 
 def _fly(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
@@ -418,7 +430,7 @@ def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if age_s > _MODE_LAG_S and not own and now.mode is not FlightMode.HOLD:
         # The failsafe lands or returns, or a pilot flies: the bridge has no part in it any more.
         return Transition(Step.YIELDED)
-    fresh = now.controller_age_s < STALE_S and heard
+    fresh = now.controller_age_s < STALE_S and heard and now.parameters_read
     recovered = memory.good.update(fresh, now.now_s) >= RECOVERED_S
     if recovered and own:
         # Sent setpoints again, PX4 returns to OFFBOARD by itself. The bridge never requests the mode here: a pilot

@@ -13,12 +13,7 @@ from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_core.types import AgentConfig, Array
-from ptnsbc_io.mavlink.autopilots import (
-    AUTOPILOTS,
-    VelocityResponse,
-    limits,
-    velocity_response,
-)
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, VelocityResponse, limits, velocity_response
 from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude_targets import AttitudeTargets, largest_force_kappa_1_s

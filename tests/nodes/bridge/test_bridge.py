@@ -121,6 +121,56 @@ def test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe():
     )
 
 
+def left_alone(*faults, seconds=4.0):
+    """A vehicle whose bridge has died, after its failsafe has acted, and another bridge that begins."""
+    fleet, uav = one()
+    frame, uav.bridge_alive = uav.bridge.state_publisher.world.frame, False
+    fleet.run(4.0)
+    assert (uav.vehicle.mode_name, uav.vehicle.armed) == ("HOLD", True)
+    for mode in faults:
+        inject(uav.vehicle, "mode", mode, fleet.now_s)
+    fleet.run(seconds - 4.0)
+    uav.begin_bridge(frame)
+    return fleet, uav
+
+
+def test_another_bridge_holds_the_vehicle_of_one_that_died_and_brings_it_back():
+    fleet, uav = left_alone()
+    frame = uav.bridge.state_publisher.world.frame
+    held = uav.vehicle.flight.truth.position_enu.copy()
+    until(fleet, uav, Step.FAILSAFE)
+    fleet.run(10.0, until=lambda: uav.vehicle.mode_name == "OFFBOARD")  # by itself, on the stream
+    np.testing.assert_allclose(uav.vehicle.flight.truth.position_enu, held, atol=0.15)
+    until(fleet, uav, Step.FLY)
+    assert fleet.run(5.0).leader_error_m() < 0.15  # in the world of before
+    assert uav.bridge.state_publisher.world.frame == frame
+    fleet.land()
+    assert (uav.step, uav.vehicle.armed) == (Step.DONE, False)
+    assert uav.bridge.procedure.fault == "its bridge died, and another one took over"
+
+
+@pytest.mark.parametrize(
+    ("mode", "step"),
+    [
+        ("POSCTL", Step.YIELDED),  # a pilot has it
+        ("HOLD", Step.YIELDED),  # a pilot wants it there
+        ("LAND", Step.DONE),
+    ],
+)
+def test_another_bridge_leaves_a_vehicle_to_the_pilot_who_took_it_meanwhile(mode, step):
+    fleet, uav = left_alone(mode)
+    until(fleet, uav, step, 60.0)
+    assert uav.bridge.procedure.in_pilots_hands == (step is Step.YIELDED)
+    assert uav.vehicle.armed == (step is Step.YIELDED)
+
+
+def test_a_vehicle_that_came_down_without_its_bridge_does_not_take_off_again():
+    fleet, uav = left_alone("LAND", seconds=60.0)
+    assert not uav.vehicle.armed
+    until(fleet, uav, Step.FAILED)
+    assert uav.bridge.procedure.fault == "it came down while its bridge was dead"
+
+
 def test_a_vehicle_that_is_rebooted_is_not_armed_again():
     fleet, uav = one()
     inject(uav.vehicle, "reboot", "", fleet.now_s)

@@ -272,7 +272,7 @@ def left_in_flight(ros, **changes):
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     link = load_scenario("experiment_4").bridged().vehicle_link(UAV)
-    known = {"heard": True, "armed": True, "mode": "OFFBOARD"}
+    known = {"heard": True, "armed": True, "mode": "OFFBOARD", "frame": "1.0 2.0 3.0"}
     left = VehicleRecord("bridge3", process.pid, link.sysid, "px4", link.connect, "127.0.0.1:9")
     write_record(runtime_folder(ros.domain), replace(left, **{**known, **changes}))
 
@@ -283,6 +283,9 @@ def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge)
     left_in_flight(ros)
     list_fleet(folder, ["bridge3"])
     work = bridge().work
+    assert work.bridge.procedure.takes_over
+    assert work.bridge.state_publisher.world.offset.tolist() == [1.0, 2.0, 3.0]
+    assert work.orders.keep().frame == "1.0 2.0 3.0"
     operation = EmergencyStop(folder, Order(LAND))
     try:
         operation.begin()
@@ -304,7 +307,8 @@ def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge)
 @pytest.mark.parametrize("changes", [{"armed": False}, {"in_pilots_hands": True}, {"connect": "x"}])
 def test_what_was_not_left_in_flight_is_not_remembered(ros, bridge, changes):
     left_in_flight(ros, **changes)
-    assert not bridge().work.orders.keep().armed
+    work = bridge().work
+    assert not (work.orders.keep().armed or work.bridge.procedure.takes_over)
 
 
 def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridge):

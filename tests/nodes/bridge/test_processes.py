@@ -3,6 +3,7 @@
 They fly in real time with as many processes as two cores can carry, so no other test runs beside them.
 """
 
+import json
 import os
 import signal
 
@@ -17,11 +18,13 @@ from mavlink_processes import (
     Program,
     flying,
     mode_of,
+    nearest_pair,
     pid_of,
     stand_ins,
     write_scenario,
 )
 
+from ptnsbc_autopilot.fault_lines import send_fault
 from ptnsbc_io.bag import read_bag
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
@@ -77,7 +80,10 @@ def test_nothing_is_armed_for_a_flight_that_is_refused_from_where_the_vehicles_s
 
 
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):
-    """The fleet waits for its operator: before the word nothing is armed."""
+    """The fleet waits for its operator: before the word nothing is armed.
+
+    The vehicle of the dead bridge hovers by its failsafe, and comes back with the next bridge.
+    """
     path = write_scenario(tmp_path / "three.yaml", domain, duration_s=60, fleet=THREE)
     logs, control = tmp_path / "logs", first_port(domain) + 20
     command = (
@@ -94,6 +100,7 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
             path, domain, "--param", "COM_OBL_RC_ACT=5", "--control", control, count=3
         ) as vehicles,
         flying(*command, domain=domain) as fleet,
+        nearest_pair(control) as distances_m,
     ):
         fleet.wait_for("the vehicles arm when an operator calls /formation/arm")
         assert not any("armed" in line for line in vehicles.lines), vehicles.lines
@@ -101,18 +108,26 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         fleet.wait_for("all are ready: the flight begins when an operator calls /formation/start")
         mission("start", 1)
         fleet.wait_for(*(f"bridge{i}: in formation" for i in THREE))
+        os.kill(pid_of("ptnsbc_nodes.bridge.bridge_main", 4, logs), signal.SIGKILL)
+        fleet.wait_for("bridge4: its vehicle was armed at ", "; another bridge takes it over")
+        assert mode_of(control, 3, other_than="OFFBOARD") == "HOLD"  # UAV 4, by its own failsafe
+        fleet.wait_for(
+            "bridge4: its bridge died, and another one took over",
+            "bridge4: setpoints are back, the formation goes on",
+        )
+        assert mode_of(control, 3, other_than="HOLD") == "OFFBOARD"
         os.kill(pid_of("ptnsbc_nodes.uav.uav_main", 3, logs), signal.SIGKILL)
         fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ")
-        os.kill(pid_of("ptnsbc_nodes.bridge.bridge_main", 4, logs), signal.SIGKILL)
-        fleet.wait_for("bridge4 (pid ")
-        assert mode_of(control, 3, other_than="OFFBOARD") == "HOLD"  # UAV 4, by its own failsafe
         stop = Program(COMMAND, "stop", "--domain", domain, domain=domain)
         assert stop.finish() == 0, stop.lines
-        assert stop.printed("bridge1: landing, armed at", "bridge4: its bridge has ended"), (
-            stop.lines
-        )
-        fleet.wait_for(*(f"bridge{i}: done" for i in (1, 3)))
+        assert stop.printed("bridge1: landing, armed at", "bridge4: landing, armed at"), stop.lines
+        fleet.wait_for(*(f"bridge{i}: done" for i in THREE))
         assert fleet.finish() == 1  # two processes died
+        assert fleet.lines[-1].startswith("after the flight: bridge1 disarmed")
+        assert fleet.lines[-1].endswith(": all disarmed")
+        states = json.loads(send_fault(control, "all state"))
+        assert [(each["armed"], each["contact"]) for each in states] == [(False, True)] * 3
+    assert min(distances_m) > 0.5
     bag = read_bag(tmp_path / "bag")
     assert bag.topics["/uav1/odom"].messages > 100
     assert len(list(bag.messages(["/formation/epoch"]))) == 2  # form, and the operator's landing

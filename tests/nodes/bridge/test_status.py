@@ -34,6 +34,7 @@ def bridge(step, *, armed, flew, silence_s):
             inputs=SimpleNamespace(order=SimpleNamespace(text="kill")),
         ),
         placement=SimpleNamespace(text=""),
+        state_publisher=SimpleNamespace(world=SimpleNamespace(frame="")),
         fate="",
         flew=flew,
     )

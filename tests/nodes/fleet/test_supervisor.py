@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +12,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.emergency import VehicleRecord, last_word, runtime_folder, write_record
+from ptnsbc_nodes.emergency import (
+    Order,
+    VehicleRecord,
+    latch,
+    runtime_folder,
+    summary,
+    write_record,
+)
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
@@ -35,6 +44,7 @@ signal.pause()
 def supervisor_of(options, node, children=(), stop=None, progress=print):
     """A supervisor of these processes; `node` is all parts of the launcher's node."""
     node.status = node.lifecycle = node.leader = node.news = node
+    node.folder = getattr(node, "folder", Path("no folder"))
     crew = Crew({}, Path(), node)
     crew.children.extend(children)
     faults = FaultInjector(options, progress, crew.start_again)
@@ -208,8 +218,8 @@ class Fleet:
 
     def record(self, name, **changes):
         values = {"heard": True, "armed": True, "mode": "OFFBOARD", "place": "(1.0, 2.0, 3.0) m"}
-        record = VehicleRecord(name, os.getpid(), 1, "px4", "", **{**values, **changes})
-        write_record(self.folder, record)
+        record = VehicleRecord(name, os.getpid(), 1, "px4", "", **values)
+        write_record(self.folder, replace(record, **changes))
 
     def end_at(self, seconds, bridge, code=0):
         def look():
@@ -371,6 +381,58 @@ def test_a_bridge_that_dies_in_flight_leaves_its_last_word(monkeypatch, tmp_path
     assert fleet.lost == ["uav1", "uav2"]
 
 
+@pytest.fixture
+def dead():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+@pytest.mark.ros
+def test_a_bridge_that_dies_in_flight_is_replaced_three_times_at_most(monkeypatch, tmp_path, dead):
+    fleet, started = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2"), []
+
+    def start_again(child, *, by_itself):
+        assert by_itself
+        started.append(Bridge(child.name))
+        fleet.supervisor._crew.children[0] = started[-1]
+
+    fleet.supervisor._crew.start_again = start_again
+    fleet.record("bridge1", pid=dead, frame="1.0 2.0 3.0")
+    for _ in range(4):
+        fleet.supervisor._crew.children[0].exit_code = -9
+        fleet.supervisor._report_exits()
+        fleet.supervisor._report_exits()
+    assert len(started) == 3
+    assert [child.name for child in fleet.supervisor.died] == ["bridge1"] * 4
+    assert fleet.said.count(f"bridge1: {WORD}; another bridge takes it over") == 3
+    assert fleet.lost == ["uav1"]  # only in the end
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"armed": False},
+        {"in_pilots_hands": True},
+        {"step": "failed"},  # it has given its vehicle up
+        {"frame": ""},  # it has not armed it
+        {"order": "latched"},  # the operator's order reaches the vehicle past the bridge
+    ],
+)
+def test_a_bridge_that_has_left_nothing_in_flight_is_not_replaced(
+    monkeypatch, tmp_path, dead, changes
+):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1")
+    fleet.supervisor._crew.start_again = pytest.fail
+    fleet.record("bridge1", **{"pid": dead, "frame": "1.0 2.0 3.0", **changes})
+    if "order" in changes:
+        latch(tmp_path, Order("land"))
+    fleet.bridges[0].exit_code = -9
+    fleet.supervisor._report_exits()
+    assert fleet.lost == ["uav1"]
+
+
 @pytest.mark.ros
 def test_faults_of_one_cause_are_one_line_at_the_end(monkeypatch, tmp_path):
     """Seen on a busy host: twelve lines of the log of each bridge, all of one cause."""
@@ -401,5 +463,5 @@ def test_the_records_of_a_fleet_are_those_of_its_namespace(domain, monkeypatch, 
         )
         write_record(runtime_folder(domain, fleet), replace(record, place=place))
     with LauncherNode(domain, "fleet", "/blue") as node:
-        word = last_word(node.folder, "bridge1")
-    assert word == f"{WORD}; ptnsbc stop reaches it past its bridge"
+        word = summary(node.folder, ["bridge1"])
+    assert word.startswith("after the flight: bridge1 armed at (1.0, 2.0, 3.0) m in OFFBOARD: keep")

@@ -322,6 +322,42 @@ def test_an_order_to_a_bridge_that_begins_waits_for_its_vehicle(armed, step):
     assert nobody.step is Step.DONE
 
 
+def taken_over(**found):
+    """A flight that a bridge has left in the air, and another one begins with."""
+    flight = Flight()
+    flight.procedure.takes_over = True
+    air = {"armed": True, "landed": False, "height_m": 3.0, "mode": FlightMode.OWN, "leg": "form"}
+    return flight.run(DT, **{**air, **found})
+
+
+@pytest.mark.parametrize(
+    ("found", "step"),
+    [
+        ({}, Step.FAILSAFE),
+        ({"mode": FlightMode.HOLD}, Step.FAILSAFE),
+        ({"mode": FlightMode.LAND}, Step.LAND),
+        ({"mode": FlightMode.OTHER}, Step.YIELDED),
+        ({"stop_request": "land"}, Step.LAND),
+        ({"stop_request": "kill"}, Step.KILL),
+        ({"leg": "land"}, Step.LAND),
+        ({"armed": False}, Step.FAILED),  # it must not take off again
+        ({"wrong_vehicle": "another vehicle"}, Step.FAILED),
+    ],
+)
+def test_what_a_bridge_does_with_the_vehicle_that_it_takes_over(found, step):
+    assert taken_over(**found).step is step
+
+
+def test_a_vehicle_that_is_taken_over_joins_once_its_parameters_and_its_thrust_are_known():
+    flight = taken_over(parameters_read=False, unprepared="showing what its thrust does").run(3.0)
+    assert (flight.step, flight.streams()) == (Step.FAILSAFE, {Stream.NONE})
+    flight.run(3.0, parameters_read=True)
+    assert (flight.step, flight.history[-1][2].stream) == (Step.AIRBORNE, Stream.HOLD)
+    flight.run(2 * DT, unprepared="")
+    assert flight.step is Step.FLY
+    assert flight.requested() == []  # it asks for no mode
+
+
 def test_when_all_land_nobody_waits_for_a_vehicle_below():
     flight = Flight().flying()
     flight.run(2 * DT, leg="land", below="a vehicle below")
