@@ -262,11 +262,12 @@ class ChildProcess:
     """One running process."""
 
     def __init__(
-        self, command: ProcessCommand, environment: Mapping[str, str], log_dir: Path
+        self, command: ProcessCommand, environment: Mapping[str, str], log_dir: Path, life: int = 1
     ) -> None:
-        self.command = command
+        """`life`: 2 for the process that replaces the first one, and so on; each has its own log."""
+        self.command, self.life = command, life
         self.name = command.name
-        self.log = log_dir / f"{command.name}.log"
+        self.log = log_dir / f"{command.name}{f'-{life}' if life > 1 else ''}.log"
         self._read = 0
         self.reports = Reports()
         try:
@@ -379,7 +380,7 @@ class Crew:
             command = replace(command, arguments=words, managed="")
         if child.name == RECORDER:  # the bag that is there is its own, and empty
             command = replace(command, arguments=(*command.arguments, "--overwrite"))
-        self.children[self.children.index(child)] = self._launch(command)
+        self.children[self.children.index(child)] = self._launch(command, child.life + 1)
 
     def pass_on_lines(self, progress: Callable[[str], None]) -> None:
         """Pass on what the sim and the bridges say of the flight."""
@@ -389,8 +390,8 @@ class Crew:
                     if line.startswith(f"{child.name}: "):
                         progress(line)
 
-    def _launch(self, command: ProcessCommand) -> ChildProcess:
-        child = ChildProcess(command, self._settings, self._log_dir)
+    def _launch(self, command: ProcessCommand, life: int = 1) -> ChildProcess:
+        child = ChildProcess(command, self._settings, self._log_dir, life)
         if command.managed:
             self._lifecycle.manage(command.name, command.managed)
         return child

@@ -123,8 +123,9 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         assert stop.printed("bridge1: landing, armed at", "bridge4: landing, armed at"), stop.lines
         fleet.wait_for(*(f"bridge{i}: done" for i in THREE))
         assert fleet.finish() == 1  # two processes died
-        assert fleet.lines[-1].startswith("after the flight: bridge1 disarmed")
-        assert fleet.lines[-1].endswith(": all disarmed")
+        assert fleet.lines[-2].startswith("fleet: after the flight: bridge1 disarmed")
+        assert fleet.lines[-2].endswith(": all disarmed")
+        assert "lost bridge4, uav3, bridge3" in fleet.lines[-1]
         states = json.loads(send_fault(control, "all state"))
         assert [(each["armed"], each["contact"]) for each in states] == [(False, True)] * 3
     assert min(distances_m) > 0.5

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_nodes.fleet import child_process
-from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, ProcessCommand, end
 from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.node_process import report_finished
 
@@ -147,6 +147,22 @@ def test_a_process_that_is_killed_at_work_has_no_summary(program):
     child = program("import os; print('running\\nfinished 1', flush=True); os.abort()")
     wait_for_exit(child)
     assert (child.reports.running, child.reports.summary) == (False, None)
+
+
+def test_a_process_that_replaces_another_has_a_log_of_its_own(tmp_path):
+    crew = Crew(environment.for_children(5, 1, tmp_path), tmp_path, None)
+    crew.start(ProcessCommand("bridge1", "no.such.module", ()))
+    wait_for_exit(dead := crew.children[0])
+    crew.start_again(dead)
+    wait_for_exit(crew.children[0])
+    crew.start_again(crew.children[0])
+    wait_for_exit(crew.children[0])
+    assert {path.name for path in tmp_path.glob("*.log")} == {
+        "bridge1.log",
+        "bridge1-2.log",
+        "bridge1-3.log",
+    }
+    assert "no.such" in dead.tail()
 
 
 def test_a_report_without_a_launcher_goes_nowhere(monkeypatch):
