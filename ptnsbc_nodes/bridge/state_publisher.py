@@ -285,7 +285,8 @@ class WorldFrame:
     @property
     def frame(self) -> str:
         """The offset of a vehicle that has been armed, as `resume` takes it; empty before."""
-        return " ".join(map(repr, self.offset.tolist())) if self._settled else ""
+        known = self.offset if self.frozen else None
+        return "" if known is None else " ".join(map(repr, known.tolist()))
 
     def resume(self, frame: str) -> None:
         """Go on with the offset of a bridge that has left its vehicle in flight."""
