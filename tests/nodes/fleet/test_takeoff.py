@@ -189,6 +189,8 @@ def test_the_launcher_starts_only_what_is_not_refused():
 class Loaded:
     """A process that has loaded."""
 
+    life = 1
+
     def __init__(self, command):
         self.command, self.name, self.pid, self.exit_code = command, command.name, 7, None
         self.reports = SimpleNamespace(running=True)
