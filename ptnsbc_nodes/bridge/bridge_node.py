@@ -26,6 +26,7 @@ from ptnsbc_io.wire import (
     HeaderTemplate,
     OdometryDecoder,
     OdometryTemplate,
+    Stamped,
     checked_velocity,
     checked_wrench,
     decode_diagnostics,
@@ -181,10 +182,10 @@ class NearPublisher:
         for other in sorted(set(scenario.uav_ids) - {uav_id}):
             for topic, left in ((topics.odom(other), False), (topics.track(other), True)):
                 hear = partial(self._on_odometry, other, left)
-                endpoints.listen(topic, as_bytes(OdometryDecoder()), hear, required=False)
+                endpoints.listen(topic, OdometryDecoder(), hear, required=False)
 
-    def _on_odometry(self, uav_id: int, left: bool, data: bytes) -> None:
-        self._objects.on_odometry(uav_id, time.monotonic(), data, left=left)
+    def _on_odometry(self, uav_id: int, left: bool, message: Stamped) -> None:
+        self._objects.on_odometry(uav_id, time.monotonic(), message.values, left=left)
 
     def publish_due(self, bridge: Bridge) -> None:
         """Publish at the rate of the scenario's sensor, once the bridge knows its own odometry."""
@@ -234,6 +235,7 @@ class BridgeNode:
         self.endpoints.listen(topics.EMERGENCY, decode_order, self.orders.on_order, required=False)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self._battery = self.bridge.vehicle.battery.newest
         self._leaving = False
         self._thread: threading.Thread | None = None
 
@@ -318,7 +320,9 @@ class BridgeNode:
         if procedure.step is Step.APART:
             self._ports.apart()  # again, for a bridge that has just met this one
         battery = self.bridge.vehicle.battery.newest
-        if any(figure is not None for figure in battery):
+        new = battery is not self._battery  # the vehicle has reported it since
+        if new and any(figure is not None for figure in battery):
+            self._battery = battery
             self._ports.battery(battery)
         self._publish_status()
 

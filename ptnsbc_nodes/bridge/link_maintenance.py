@@ -105,7 +105,7 @@ class LinkMaintenance:
         fast = clock_jumped or self.sync.answers < _FAST_ANSWERS
         if self._is_due("time", now_s, _TIME_FAST_S if fast else _TIME_SLOW_S):
             send(mavlink.MAVLink_timesync_message(0, self.sync.request(now_s)))
-        for name in self._parameters.due(now_s):
+        for name in () if self.parameters_read else self._parameters.due(now_s):
             sysid = self._settings.sysid
             send(
                 mavlink.MAVLink_param_request_read_message(

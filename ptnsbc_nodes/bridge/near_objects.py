@@ -13,8 +13,7 @@ from collections.abc import Collection
 import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, Array
-from ptnsbc_io.wire import WireError, decode_odometry
+from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, Array, Odometry
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
@@ -26,21 +25,23 @@ _MOST_STOPS = 50
 
 
 class NearObjects:
-    """The obstacles, and the newest odometry of the other UAVs as bytes until it is needed."""
+    """The obstacles, and the newest odometry of the other UAVs."""
 
     def __init__(self, scenario: Scenario, uav_id: int, linked: Collection[int]) -> None:
         """`linked`: ids of the UAVs that share an edge with this one."""
         self._avoided = frozenset(linked if scenario.mavlink.near == "links" else scenario.uav_ids)
-        self._newest: dict[int, tuple[float, bytes, bool]] = {}
+        self._newest: dict[int, tuple[float, Odometry, bool]] = {}
         self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
         self._scenario = scenario
         self._moving = any(one.path is not None for one in scenario.world.bodies)
         self._bodies = obstacle_rows(scenario, np.full(1, -1.0))[0]
 
-    def on_odometry(self, uav_id: int, now_s: float, data: bytes, *, left: bool = False) -> None:
-        """Keep the odometry of another UAV; `left`: it has left the formation."""
-        self._newest[uav_id] = (now_s, data, left)
+    def on_odometry(
+        self, uav_id: int, now_s: float, odometry: Array, *, left: bool = False
+    ) -> None:
+        """Keep the odometry (13,) of another UAV; `left`: it has left the formation."""
+        self._newest[uav_id] = (now_s, tuple(odometry.tolist()), left)
 
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
         """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the detection range.
@@ -70,32 +71,28 @@ class NearObjects:
 
     def _known(self, now_s: float, which: Collection[int]) -> Array:
         newest = [one for one in list(self._newest.items()) if one[0] in which]
-        rows = [self._rows_of(uav, now_s - arrived_s, data) for uav, (arrived_s, data, _) in newest]
-        return np.vstack([np.zeros((0, NEAR_COLUMNS)), *rows])
+        rows = [
+            row
+            for uav, (arrived_s, odometry, _) in newest
+            for row in self._rows_of(uav, now_s - arrived_s, odometry)
+        ]
+        return np.array(rows, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
 
-    def _rows_of(self, uav_id: int, age_s: float, data: bytes) -> Array:
-        """The places (K, 7) where a UAV may be: of a silent one the way that its last velocity has taken it.
+    def _rows_of(self, uav_id: int, age_s: float, odometry: Odometry) -> list[list[float]]:
+        """The places where a UAV may be: of a silent one the way that its last velocity has taken it.
 
         Its vehicle may have stopped anywhere on it, at once or when its failsafe has acted.
         """
-        nowhere = np.zeros((0, NEAR_COLUMNS))
-        try:
-            odometry = decode_odometry(data).values
-        except WireError:
-            return nowhere
-        keep_out_m, velocity = self._keep_out_m[uav_id], np.array(velocity_enu(odometry))
-        way = min(age_s, _COASTS_S) * velocity
-        if not np.isfinite([*odometry[0:3], *way]).all():
-            return nowhere
-        stops = 0
+        keep_out_m, velocity = self._keep_out_m[uav_id], velocity_enu(odometry)
+        way, shares = [min(age_s, _COASTS_S) * speed for speed in velocity], [1.0]
         if age_s > _MOVING_S:
             between_m = 0.5 * keep_out_m  # so that the spheres hold the whole way
-            stops = 1 + math.floor(min(float(np.linalg.norm(way)) / between_m, _MOST_STOPS))
+            stops = 1 + math.floor(min(math.hypot(*way) / between_m, _MOST_STOPS))
             keep_out_m = math.hypot(keep_out_m, 0.5 * between_m)
-        rows = np.zeros((stops + 1, NEAR_COLUMNS))
-        shares = np.linspace(1.0 - min(stops, 1), 1.0, stops + 1)
-        rows[:, 0:3] = odometry[0:3] + shares[:, None] * way
-        rows[:, 3] = keep_out_m
+            shares = np.linspace(0.0, 1.0, stops + 1).tolist()
+        still = (keep_out_m, 0.0, 0.0, 0.0)
+        path = tuple(zip(odometry[0:3], way, strict=True))
+        rows = [[*(at + share * by for at, by in path), *still] for share in shares]
         if age_s < _COASTS_S:
-            rows[-1, 4:7] = velocity
+            rows[-1][4:7] = velocity
         return rows

@@ -52,6 +52,7 @@ class StatePublisher:
         self._sync = sync
         self._ports = ports
         self.odometry: Array | None = None  # newest (13,), world frame
+        self.velocity = np.zeros(3)  # of it [m/s], world
         self.sampled_s = float("-inf")  # of it, on the steady clock
         self._local_position: Array | None = None  # (3,) in the vehicle's own frame
         self._ground_m = 0.0
@@ -150,7 +151,8 @@ class StatePublisher:
         odometry = state.odometry.copy()
         # The state is carried to the present with its own velocity, as a UAV does with its neighbours'
         # states. Compared with those at an older instant, the vehicle would fly that little ahead of its place.
-        odometry[0:3] += offset + max(age_s, 0.0) * np.array(velocity_enu(odometry))
+        self.velocity = np.array(velocity_enu(odometry))
+        odometry[0:3] += offset + max(age_s, 0.0) * self.velocity
         self.odometry, self.sampled_s = odometry, min(sampled_s, now_s)
         stamp_ns = self._ports.ros_ns()
         if 0 <= self._stamp_ns - stamp_ns < _JUMP_BACK_NS:

@@ -23,7 +23,7 @@ from ptnsbc_core.agent import OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
-from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
+from ptnsbc_io.wire import HeaderFields, Stamped, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs
@@ -124,7 +124,6 @@ class FleetUav:
         self.epochs = Epochs(scenario)
         self.followed = scenario
         self.near_objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
-        self.odometry_template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
         self.setpoint_template = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
@@ -196,16 +195,16 @@ class FleetUav:
         self.odometry.append(odometry.copy())
         if self.alive:
             self.controller.inbox.own = Stamped(stamp_ns, odometry)
-        self._tell(self.odometry_template.encode(stamp_ns, odometry))
+        self._tell(odometry)
 
     def on_track(self, stamp_ns, odometry):
         self.tracks.append((self.fleet.now_s, odometry.copy()))
-        self._tell(self.odometry_template.encode(stamp_ns, odometry), left=True)
+        self._tell(odometry, left=True)
 
-    def _tell(self, data, *, left=False):
+    def _tell(self, odometry, *, left=False):
         for other in self.fleet.uavs.values():
             if other is not self:
-                other.near_objects.on_odometry(self.id, self.fleet.now_s, data, left=left)
+                other.near_objects.on_odometry(self.id, self.fleet.now_s, odometry, left=left)
 
     def announce(self, t0_ns, leg):
         self.epochs.announce(t0_ns, leg)

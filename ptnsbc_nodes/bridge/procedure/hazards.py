@@ -15,7 +15,6 @@ import numpy as np
 
 from ptnsbc_core.curves.shape import places
 from ptnsbc_core.curves.trajectory import Reference, reference
-from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
@@ -34,6 +33,8 @@ _GROWING = 0.8  # the newest swing as a share of the first of them: below, the m
 _AWAY_S, _AGAINST_S = 3.0, 3.0
 _SETTLED_S = 5.0  # after the deadline
 _GAP_S = 0.5  # after a longer silence the next place is no jump
+# Interpreted: one point takes no longer, and a bridge needs no compiler for a leader on a circle.
+_leader_at = unwrap(reference)
 
 
 class Sight(NamedTuple):
@@ -75,7 +76,7 @@ class FlightMonitor:
         if not 0.0 < elapsed_s <= _GAP_S:
             return ""
         expected = last.position + elapsed_s * 0.5 * (last.velocity + sight.velocity)
-        jump_m = float(np.linalg.norm(sight.position - expected))
+        jump_m = math.dist(sight.position, expected)
         return f"its position jumped by {jump_m:.1f} m" if jump_m > limit_m else ""
 
     def _too_near(self, sight: Sight) -> str:
@@ -120,7 +121,7 @@ class FlightMonitor:
         """Faster than its place for seconds, when the formation should long have been there."""
         limit_m_s = self._limits.away_m_s
         motion = sight.velocity - sight.reference_m_s
-        speed_m_s = float(np.linalg.norm(motion))
+        speed_m_s = math.hypot(*motion)
         if sight.places is not None:
             off = sight.position - sight.places
             apart_m = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
@@ -135,7 +136,7 @@ class FlightMonitor:
         limit_m_s = self._limits.against_m_s
         wanted = sight.reference_m_s if sight.wanted_m_s is None else sight.wanted_m_s
         correction, motion = wanted - sight.reference_m_s, sight.velocity - sight.reference_m_s
-        wanted_m_s = float(np.linalg.norm(correction))
+        wanted_m_s = math.hypot(*correction)
         large = bool(limit_m_s) and wanted_m_s >= limit_m_s
         astray = large and float(motion @ correction) < 0.0
         if self._astray.update(astray, sight.now_s) < _AGAINST_S:
@@ -179,8 +180,7 @@ class LeaderReference:
 
     def at(self, flight_s: float) -> Reference:
         """The leader's motion so many seconds after the first epoch; before it, that of the epoch."""
-        # Interpreted: one point takes no longer, and a bridge needs no compiler for a leader on a circle.
-        return unwrap(reference)(self.config.trajectory, max(flight_s, 0.0))
+        return _leader_at(self.config.trajectory, max(flight_s, 0.0))
 
     def place_velocity(self, flight_s: float) -> Array:
         """Velocity (3,) [m/s] of the vehicle's place: that of the leader's reference, and that of a shape that moves.
@@ -241,7 +241,7 @@ class FormationWatch:
         in_flight = step is not Step.AIRBORNE and not self._alone
         follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
-        velocity = np.array(velocity_enu(odometry))
+        velocity = self._state.velocity
         sight = Sight(
             now_s,
             odometry[0:3].copy(),
@@ -271,4 +271,4 @@ class FormationWatch:
         odometry = self._state.odometry
         if odometry is None:
             return ""
-        return self._stream.guard.breach(odometry[0:3], np.array(velocity_enu(odometry)))
+        return self._stream.guard.breach(odometry[0:3], self._state.velocity)

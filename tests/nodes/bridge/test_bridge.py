@@ -14,7 +14,6 @@ from ptnsbc_autopilot.server import Codec
 from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.emergency import Order
 from ptnsbc_sim.scenario import load_scenario
@@ -406,12 +405,11 @@ def test_by_the_other_setpoints_gains_are_judged_by_the_link_or_the_bridge_says_
 def test_a_vehicle_that_comes_too_near_ends_the_formation():
     fleet, uav = one()
     place = uav.odometry[-1][0:3]
-    intruder = OdometryTemplate("map", "x")
 
     def come(distance_m):
         odometry = np.zeros(13)
         odometry[0:3], odometry[6] = place + np.array([distance_m, 0.0, 0.0]), 1.0
-        uav.near_objects.on_odometry(3, fleet.now_s, intruder.encode(BASE_NS, odometry))
+        uav.near_objects.on_odometry(3, fleet.now_s, odometry)
 
     for _ in range(20):
         come(2.0)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_sim.scenario import load_scenario
 
@@ -15,11 +14,11 @@ LINKED = (2,)
 def near_objects(near):
     """Those of UAV 3: UAV 2 has an edge with it, UAV 4 has none and is closer."""
     made = load_scenario("experiment_4", {"mavlink.near": near})
-    objects, template = NearObjects(made, 3, LINKED), OdometryTemplate("map", "x")
+    objects = NearObjects(made, 3, LINKED)
     for uav, place in PLACES.items():
         odometry = np.zeros(13)
         odometry[0:3], odometry[6], odometry[7] = place, 1.0, 0.5
-        objects.on_odometry(uav, 10.0, template.encode(0, odometry))
+        objects.on_odometry(uav, 10.0, odometry)
     return objects
 
 
@@ -52,10 +51,9 @@ def test_everybody_avoids_a_vehicle_that_is_silent_or_has_left_the_formation():
     """Also one without an edge."""
     objects, odometry = near_objects("links"), np.zeros(13)
     odometry[0:3], odometry[6] = PLACES[4], 1.0
-    data = OdometryTemplate("map", "x").encode(0, odometry)
     for now_s, left, avoided in ((10.9, False, 1), (11.0, True, 2), (11.1, False, 1)):
-        objects.on_odometry(2, now_s, data)
-        objects.on_odometry(4, now_s, data, left=left)
+        objects.on_odometry(2, now_s, odometry)
+        objects.on_odometry(4, now_s, odometry, left=left)
         assert len(objects.rows(now_s, HERE)) == avoided
     assert len({*objects.rows(12.2, HERE)[:, 1]}) == 1
     assert len(objects.rows(12.2, HERE)) == 4
