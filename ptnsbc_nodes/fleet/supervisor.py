@@ -209,11 +209,11 @@ class Supervisor:
 
     def _land(self) -> None:
         """Land what is still in the air, before the processes that fly it are ended."""
-        news, bridges = self._node.news, self._bridges
+        news = self._node.news
         remote = [name for name in self._options.elsewhere if name.startswith("bridge")]
 
         def is_airborne() -> bool:
-            return any(child.exit_code is None for child in bridges) or (
+            return any(child.exit_code is None for child in self._bridges) or (
                 self._options.leads and any(name not in news.gone for name in remote)
             )
 
@@ -222,13 +222,13 @@ class Supervisor:
         if self._options.leads:
             call_down(self._node, "stop" if self._stop.came else "land", self._progress)
         elif not news.over:  # only the vehicles of this computer: others fly on
-            for bridge in bridges:
+            for bridge in self._bridges:
                 bridge.send(signal.SIGINT)
         limit_s, signals, pilots_s = time.monotonic() + _LANDING_S, self._stop.count, math.inf
         while is_airborne() and self._stop.count == signals:
             self._look()
             now_s = time.monotonic()
-            flying = [bridge.name for bridge in bridges if bridge.exit_code is None]
+            flying = [bridge.name for bridge in self._bridges if bridge.exit_code is None]
             left = bool(flying) and in_pilots_hands(self._node.folder, flying)
             pilots_s = min(pilots_s, now_s + _PILOTS_S) if left else math.inf
             if now_s >= min(limit_s, pilots_s):

@@ -245,6 +245,22 @@ def test_at_the_end_it_waits_until_all_have_landed(monkeypatch, tmp_path, stoppe
 
 
 @pytest.mark.ros
+def test_a_bridge_that_takes_over_in_the_landing_is_waited_for(monkeypatch, tmp_path, dead):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1")
+    another, children = Bridge("bridge1"), fleet.supervisor._crew.children
+
+    def start_again(child, *, by_itself):
+        children[children.index(child)] = another
+
+    fleet.supervisor._crew.start_again = start_again
+    fleet.record("bridge1", pid=dead, frame="1.0 2.0 3.0")
+    fleet.end_at(5.0, fleet.bridges[0], -9)
+    fleet.end_at(30.0, another)
+    fleet.supervisor._land()
+    assert 30.0 <= fleet.now_s < 31.0
+
+
+@pytest.mark.ros
 def test_bridges_are_waited_for_240_s_at_most(monkeypatch, tmp_path):
     fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", "bridge3")
     fleet.end_at(20.0, fleet.bridges[0])
