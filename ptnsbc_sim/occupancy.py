@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.point_cloud_file import PointCloudFileError, read_points
 
@@ -25,21 +24,13 @@ FINEST_M, COARSEST_M = 0.01, 100.0
 _MOST_CELLS = 200_000
 
 
-class MapError(PtnsbcError):
-    """A map that is none, in words that follow its name."""
-
-
 def map_text(path: Path, resolution_m: float) -> str:
     """The boxes of a map file as text, a row of the two corners x, y, z [m] for each.
 
     Raises:
-        MapError: the file is no point cloud, or takes too many boxes.
+        PointCloudFileError: the file is no point cloud, or takes too many boxes.
     """
-    try:
-        points = read_points(path)
-    except PointCloudFileError as error:
-        raise MapError(str(error)) from None
-    corners = covering_boxes(points, resolution_m)
+    corners = covering_boxes(read_points(path), resolution_m)
     return "".join(",".join(f"{number:.10g}" for number in row) + "\n" for row in corners.tolist())
 
 
@@ -52,12 +43,14 @@ def covering_boxes(points: Array, resolution_m: float) -> Array:
     """
     cells = np.unique(np.floor(points / resolution_m).astype(np.int64), axis=0)
     if len(cells) > _MOST_CELLS:
-        raise MapError(
+        raise PointCloudFileError(
             f"{len(cells)} occupied cells: expected at most {_MOST_CELLS}, raise resolution_m"
         )
     boxes = list(_cuboids(cells))
     if len(boxes) > MOST_BOXES:
-        raise MapError(f"{len(boxes)} boxes: expected at most {MOST_BOXES}, raise resolution_m")
+        raise PointCloudFileError(
+            f"{len(boxes)} boxes: expected at most {MOST_BOXES}, raise resolution_m"
+        )
     return np.array(boxes, dtype=np.float64) * resolution_m
 
 

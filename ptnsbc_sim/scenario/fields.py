@@ -62,12 +62,12 @@ def _spelling(unit: str) -> str:
     return re.sub(r"[\s*·^]", "", unit.replace("²", "2")).lower()
 
 
-def _number(value: Any, unit: str, below: tuple[str | int, ...]) -> Any:
+def without_unit(value: Any, unit: str, below: tuple[str | int, ...] = ()) -> Any:
     """A value with "number unit" texts, also inside lists and mappings, made numbers."""
     if isinstance(value, list):
-        return [_number(item, unit, (*below, index)) for index, item in enumerate(value)]
+        return [without_unit(item, unit, (*below, index)) for index, item in enumerate(value)]
     if isinstance(value, dict):
-        return {key: _number(item, unit, (*below, key)) for key, item in value.items()}
+        return {key: without_unit(item, unit, (*below, key)) for key, item in value.items()}
     if not isinstance(value, str):
         return value
     match = _QUANTITY.fullmatch(value)
@@ -143,7 +143,7 @@ class Block(BaseModel):
             for key, value in tree.items()
             if value != AUTO and not key.startswith("disturbance") and (unit := unit_of(key))
         }
-        return {**tree, **{key: _number(tree[key], units[key], (key,)) for key in units}}
+        return {**tree, **{key: without_unit(tree[key], units[key], (key,)) for key in units}}
 
 
 _Block = TypeVar("_Block", bound=Block)

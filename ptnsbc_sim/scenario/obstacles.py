@@ -44,7 +44,7 @@ from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
 
 _KEYS: dict[str, tuple[str, ...]] = {
-    "sphere": ("position_m", "trajectory"),
+    "sphere": ("position_m", "trajectory", "radius_m"),
     "box": ("position_m", "trajectory", "size_m", "rotation_rad"),
     "cylinder": ("position_m", "trajectory", "radius_m", "height_m"),
     "plane": ("position_m", "trajectory", "normal"),
@@ -80,13 +80,13 @@ class ObstacleBlock(Block):
     """Trajectory of the position in place of `position_m`, with the keys of [leader.trajectory](#leader). The body does
     not turn with it."""
     keep_out_m: NotNegative
-    """*sphere* Radius of the sphere to stay out of. All others: least distance from the surface."""
+    """Least distance from the surface. A sphere without `radius_m` is a point, and this the radius to stay out of."""
     size_m: PositiveVec3 | None = None
     """*box* Length of the edges."""
     rotation_rad: Vec3 = (0.0, 0.0, 0.0)
     """*box* Roll, pitch and yaw."""
     radius_m: Positive | None = None
-    """*cylinder* Radius."""
+    """*sphere*, *cylinder* Radius of the body. Default of a sphere: 0."""
     height_m: Number | None = None
     """*cylinder* Height; default: without end. *ground* Height of the ground."""
     normal: Vec3 | None = None
@@ -115,7 +115,8 @@ def obstacle_problems(block: ObstacleBlock) -> Problems:
     what = "missing" if block.position_m is None else "given beside trajectory"
     placed = either or kind in ("ground", "map")
     yield from unless(placed, "position_m", what, "either position_m or trajectory")
-    yield from unless(block.keep_out_m > 0.0 or kind != "sphere", "keep_out_m", "0", "> 0")
+    wide = block.keep_out_m > 0.0 or kind != "sphere" or block.radius_m is not None
+    yield from unless(wide, "keep_out_m", "0", "> 0, or the sphere's radius_m")
     height_m = block.height_m
     tall = kind != "cylinder" or height_m is None or height_m > 0.0
     yield from unless(tall, "height_m", height_m, "> 0")
@@ -171,7 +172,8 @@ class Obstacle:
     def __init__(self, block: ObstacleBlock) -> None:
         self.name = block.name
         self.kind: str = block.kind
-        self.keep_out_m = block.keep_out_m
+        radius_m = block.radius_m if block.kind == "sphere" else None
+        self.keep_out_m = block.keep_out_m + (radius_m or 0.0)
         self._block = block
 
     @cached_property
@@ -191,7 +193,7 @@ class Obstacle:
         block = self._block
         if block.size_m is not None:
             return 0.5 * np.array(block.size_m)
-        if block.radius_m is not None:
+        if block.radius_m is not None and block.kind == "cylinder":
             height = math.inf if block.height_m is None else block.height_m
             return np.array([block.radius_m, 0.5 * height, 0.0])
         return np.zeros(3)

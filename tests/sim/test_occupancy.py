@@ -100,6 +100,16 @@ def test_a_bad_map_is_refused(
         load_scenario("paper_5", {"world.obstacles": [block]})
 
 
+def test_the_edge_of_a_cell_may_have_its_unit(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("intensity,z,y,x\n9,3.5,2.5,1.5\n")
+    block = {"name": "hall", "kind": "map", "keep_out_m": 0.5, "file": str(tmp_path / "a.csv")}
+    for edge in (1, "1 m"):
+        (body,) = load_scenario(
+            "paper_5", {"world.obstacles": [{**block, "resolution_m": edge}]}
+        ).world.bodies
+        np.testing.assert_array_equal(body.position, [1.5, 2.5, 3.5])
+
+
 def test_no_more_bodies_than_a_sensor_tells_of() -> None:
     box = "".join(f"{2 * k},0,0,{2 * k + 1},1,1\n" for k in range(MOST_BOXES))
     maps = [{"name": f"map{k}", "kind": "map", "keep_out_m": 0.5, "samples": box} for k in range(3)]

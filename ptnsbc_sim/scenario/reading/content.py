@@ -11,14 +11,18 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FunctionType
 from typing import Any, get_args
 
-from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, MapError, map_text
+from pydantic_core import PydanticCustomError
+
+from ptnsbc_io.point_cloud_file import PointCloudFileError
+from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, map_text
 from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, without_unit
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
 from ptnsbc_sim.scenario.mission.stream import setpoints_of
 from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock, samples_of
@@ -62,35 +66,25 @@ def with_table(tree: Tree, source: str, folder: Path) -> Tree:
 
 def _samples_of(block: Tree, where: str, folder: Path) -> str:
     """The content of the file of a block."""
-    name, is_map = block["file"], block["kind"] == "map"
+    name, kind = block["file"], block["kind"]
     if not isinstance(name, str) or not name:
-        what = "map" if is_map else "CSV file"
+        what = "map" if kind == "map" else "CSV file"
         raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a {what}")
     path = folder / Path(name).expanduser()
-    if is_map:
-        edge_m = block.get("resolution_m")
-        number = isinstance(edge_m, int | float) and not isinstance(edge_m, bool)
-        if edge_m is None or not number or not FINEST_M <= edge_m <= COARSEST_M:
-            raise ScenarioError(
-                f"{where}.resolution_m: {shown(edge_m)}: expected a number from {FINEST_M:g} to {COARSEST_M:g} m"
-            )
-        try:
-            return map_text(path, float(edge_m))
-        except MapError as error:
-            raise ScenarioError(f"{where}.file: {path}: {error}") from None
     try:
+        if kind == "map":
+            key = f"{where}.resolution_m"
+            edge_m = _quantity(block.get("resolution_m"), "m", key, FINEST_M, COARSEST_M)
+            return map_text(path, edge_m)
         with path.open(encoding="utf-8-sig") as stream:  # Excel begins a CSV file with a mark
             text = stream.read(MOST_SAMPLES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
-        words = getattr(error, "strerror", None) or "expected UTF-8 text"
-        raise ScenarioError(
-            f"{where}.file: {path}: {words}: expected a readable CSV file"
-        ) from None
-    try:
         if len(text) > MOST_SAMPLES:
             raise ValueError(f"expected at most {MOST_SAMPLES} characters: leave rows out")
-        _READERS[block["kind"]](text)
-    except ValueError as error:
+        _READERS[kind](text)
+    except OSError as error:
+        why = f"{error.strerror}: expected a readable CSV file"
+        raise ScenarioError(f"{where}.file: {path}: {why}") from None
+    except (PointCloudFileError, ValueError) as error:
         raise ScenarioError(f"{where}.file: {path}: {error}") from None
     return text
 
@@ -178,8 +172,12 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     where = f"{source}: leader.trajectory"
     function = _function(block["kind"], "trajectory", folder, where)
     known = {key: value for key, value in block.items() if key not in ("kind", "arguments")}
-    duration_s = _number(known.pop("duration_s", _DURATION_S), f"{where}.duration_s", 2 * _STEP_S)
-    step_s = _number(known.pop("step_s", _STEP_S), f"{where}.step_s", _LEAST_STEP_S)
+    duration_s = _quantity(
+        known.pop("duration_s", _DURATION_S), "s", f"{where}.duration_s", 2 * _STEP_S, _FARTHEST
+    )
+    step_s = _quantity(
+        known.pop("step_s", _STEP_S), "s", f"{where}.step_s", _LEAST_STEP_S, _FARTHEST
+    )
     count = math.ceil(duration_s / step_s - 1e-9) + 1
     if not 2 <= count <= MOST_POINTS:
         raise FunctionError(
@@ -326,7 +324,13 @@ def _numbers(
     return numbers
 
 
-def _number(value: Any, where: str, least: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= least:
-        raise FunctionError(f"{where}: {value!r}: expected a number of seconds, at least {least:g}")
-    return float(value)
+def _quantity(value: Any, unit: str, where: str, low: float, high: float) -> float:
+    """A number of a block that is needed before the scenario is validated, with or without its unit."""
+    number = value
+    with suppress(PydanticCustomError):
+        number = without_unit(value, unit)
+    if isinstance(number, bool) or not isinstance(number, int | float) or not low <= number <= high:
+        raise ScenarioError(
+            f"{where}: {shown(value)}: expected a number from {low:g} to {high:g} {unit}"
+        )
+    return float(number)

@@ -30,6 +30,7 @@ def distance(one: Obstacle, *place: float, t: float = 0.0) -> float:
     ("keys", "place", "expected"),
     [
         ({"position_m": [1, 2, 3]}, (1, 5, 7), 5.0),
+        ({"position_m": [1, 2, 3], "radius_m": 2}, (1, 5, 7), 5.0),
         ({"kind": "box", "position_m": [1, 2, 3], "size_m": [4, 2, 6]}, (6, 2, 3), 3.0),
         (
             {
@@ -55,6 +56,15 @@ def distance(one: Obstacle, *place: float, t: float = 0.0) -> float:
 )
 def test_distances(keys, place, expected) -> None:
     assert distance(obstacle(**keys), *place) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_ball_is_kept_out_of_by_the_distance_from_its_surface_as_all_bodies_are() -> None:
+    """Of a sphere `keep_out_m` was the radius, of a box the distance from the surface."""
+    ball = {"position_m": [1, 2, 3], "keep_out_m": 0.5}
+    assert obstacle(**ball).keep_out_m == 0.5  # a point, as ever
+    assert obstacle(**ball, radius_m=2).keep_out_m == 2.5
+    assert obstacle(position_m=[1, 2, 3], keep_out_m=0, radius_m="2 m").keep_out_m == 2.0
+    assert obstacle(**ball, radius_m=2).drawn().size.tolist() == [5.0, 5.0, 5.0]
 
 
 def test_one_that_moves_is_where_its_trajectory_says_and_stands_still_before() -> None:
@@ -99,7 +109,7 @@ def test_what_is_drawn() -> None:
         ({"kind": "plane"}, "world.obstacles[0].normal: missing: expected a direction"),
         ({"kind": "ground"}, "world.obstacles[0].position_m: not a key of kind ground"),
         ({"kind": "ball"}, 'world.obstacles[0].kind: "ball": '),
-        ({"radius_m": 1}, "world.obstacles[0].radius_m: not a key of kind sphere"),
+        ({"height_m": 1}, "world.obstacles[0].height_m: not a key of kind sphere"),
         ({"keep_out_m": 0}, "world.obstacles[0].keep_out_m: 0: expected > 0"),
         ({"position_m": None}, "world.obstacles[0].position_m: missing: expected either"),
         ({"kind": "cylinder", "radius_m": 1, "height_m": -1}, "height_m: -1: expected > 0"),
