@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +20,10 @@ _LONGEST_HEADER = 10_000
 _MOST_COUNT = 10_000  # of numbers in one field
 _FARTHEST_M = 1e6
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-_PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
-_PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+_PLY_TYPES |= {"float": "f4", "double": "f8"}
+_PLY_TYPES |= {np.dtype(kind).name: kind for kind in _PLY_TYPES.values()}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_TYPES = {"F4": "<f4", "F8": "<f8", "I1": "i1", "I2": "<i2", "I4": "<i4", "I8": "<i8"}
-_TYPES |= {"U1": "u1", "U2": "<u2", "U4": "<u4", "U8": "<u8"}
-
-
+_PCD_TYPES = {"F4", "F8", *(f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8))}
 _POINTS_OF_TREE = "which octree2pointcloud MAP.bt MAP.pcd of OctoMap writes"
 _OCTOMAP = {".bt": _POINTS_OF_TREE, ".ot": f"{_POINTS_OF_TREE}, after convert_octree MAP.ot MAP.bt"}
 
@@ -74,20 +73,30 @@ def _csv(data: bytes) -> Array:
         raise PointCloudFileError(str(error)) from None
 
 
+class _Field(NamedTuple):
+    """A number of a point, or several of one kind."""
+
+    name: str
+    type: str  # as NumPy names it
+    count: int = 1
+
+
 def _points(
-    data: bytes, record: np.dtype[np.void], count: int, *, text: bool, more: bool = False
+    data: bytes, fields: Sequence[_Field], count: int, *, text: bool, more: bool = False
 ) -> Array:
     """The fields x, y and z of `count` records, as rows of text or in binary; after text `more` may follow."""
+    names = [field.name for field in fields]
+    axes = [names.index(axis) for axis in "xyz" if axis in names]
+    if len(axes) < 3 or any(fields[place].count != 1 for place in axes):
+        raise PointCloudFileError("expected fields x, y and z, each of one number")
     if not text:
+        record = np.dtype([(f"{k}", field.type, (field.count,)) for k, field in enumerate(fields)])
         size = count * record.itemsize
         if not 0 < size <= len(data):
             raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
         points = np.frombuffer(data, record, count)
-        return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    # The words of a row before an axis: one for each number of the fields before it.
-    names = list(record.names or ())
-    words = [int(np.prod(record[name].shape)) for name in names]
-    columns = [sum(words[: names.index(axis)]) for axis in "xyz"]
+        return np.concatenate([points[f"{k}"].astype(np.float64) for k in axes], axis=1)
+    columns = [sum(field.count for field in fields[:place]) for place in axes]
     rows: Array | tuple[()] = ()
     try:
         if data.strip():
@@ -113,12 +122,12 @@ def _ply(data: bytes) -> Array:
     form = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
     if form not in _ORDERS:
         raise PointCloudFileError(f"format {form[:40]}: expected {', '.join(_ORDERS)}")
-    count, record = _vertices(lines, _ORDERS[form])
-    return _points(data[first:], record, count, text=form == "ascii", more=True)
+    count, fields = _vertices(lines, _ORDERS[form])
+    return _points(data[first:], fields, count, text=form == "ascii", more=True)
 
 
-def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[np.void]]:
-    """The number of vertices, and the record of their properties."""
+def _vertices(lines: list[list[str]], order: str) -> tuple[int, list[_Field]]:
+    """The number of vertices, and their properties."""
     elements = [at for at, words in enumerate(lines) if words[:1] == ["element"]]
     first = lines[elements[0]] if elements else []
     if len(first) != 3 or first[1] != "vertex":
@@ -127,17 +136,14 @@ def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[np.void
         raise PointCloudFileError(
             f"element vertex {first[2][:40]}: expected a whole number above 0"
         )
-    columns: list[tuple[str, str]] = []
+    fields = []
     for words in lines[elements[0] + 1 : (*elements, len(lines))[1]]:
         if words[:1] != ["property"]:
             continue
         if len(words) != 3 or words[1] not in _PLY_TYPES:
             raise PointCloudFileError(f"{' '.join(words)[:60]}: expected a property of one number")
-        columns.append((words[2], order + _PLY_TYPES[words[1]]))
-    names = [name for name, _ in columns]
-    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
-        raise PointCloudFileError("expected properties x, y and z of the vertices, each name once")
-    return int(first[2]), np.dtype(columns)
+        fields.append(_Field(words[2], order + _PLY_TYPES[words[1]]))
+    return int(first[2]), fields
 
 
 def _npy(data: bytes) -> Array:
@@ -167,12 +173,12 @@ def _pcd(data: bytes) -> Array:
     for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
         if not header.get(key):
             raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
-    points, kind, record = _numbers(header, "POINTS")[0], header["DATA"][0], _record(header)
+    points, kind = _numbers(header, "POINTS")[0], header["DATA"][0]
     if kind not in ("ascii", "binary"):
         raise PointCloudFileError(
             f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
         )
-    return _points(data[after + 1 :], record, points, text=kind == "ascii")
+    return _points(data[after + 1 :], _fields(header), points, text=kind == "ascii")
 
 
 def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
@@ -183,27 +189,21 @@ def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
     return [int(word) for word in words]
 
 
-def _record(header: dict[str, list[str]]) -> np.dtype[np.void]:
-    names, kinds = header["FIELDS"], header["TYPE"]
-    sizes = _numbers(header, "SIZE")
+def _fields(header: dict[str, list[str]]) -> list[_Field]:
+    """The fields of a point, as the header of a PCD file tells them."""
+    names, kinds, sizes = header["FIELDS"], header["TYPE"], _numbers(header, "SIZE")
     counts = _numbers(header, "COUNT") if header.get("COUNT") else [1] * len(names)
     if not len(names) == len(kinds) == len(sizes) == len(counts):
         raise PointCloudFileError("expected as many words in FIELDS, SIZE, TYPE and COUNT")
-    fields: list[tuple[str, str, tuple[int, ...]]] = []
-    for index, (name, kind, size, count) in enumerate(
-        zip(names, kinds, sizes, counts, strict=True)
-    ):
-        number = _TYPES.get(f"{kind}{size}")
-        if number is None:
+    fields = []
+    for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
+        if f"{kind}{size}" not in _PCD_TYPES:
             raise PointCloudFileError(
                 f"field {name[:40]}: {kind[:8]}{size}: expected a type of PCD"
             )
-        is_axis = name in ("x", "y", "z") and name not in [one for one, _, _ in fields]
-        most = 1 if is_axis else _MOST_COUNT
-        if not 1 <= count <= most:
-            raise PointCloudFileError(f"field {name[:40]}: COUNT {count}: expected 1 to {most}")
-        fields.append((name if is_axis else f"other{index}", number, () if is_axis else (count,)))
-    missing = {"x", "y", "z"} - {name for name, _, _ in fields}
-    if missing:
-        raise PointCloudFileError(f"no field {min(missing)}: expected fields x, y and z")
-    return np.dtype(fields)
+        if not 1 <= count <= _MOST_COUNT:
+            raise PointCloudFileError(
+                f"field {name[:40]}: COUNT {count}: expected 1 to {_MOST_COUNT}"
+            )
+        fields.append(_Field(name, f"<{kind.lower()}{size}", count))
+    return fields

@@ -5,7 +5,6 @@ The near-object sensor, the verdict and all pictures know boxes: docs/notes/bodi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
+from ptnsbc_io.number_table import read_table
 from ptnsbc_io.point_cloud_file import PointCloudFileError, read_points
 
 MOST_BOXES = 400
@@ -87,15 +87,9 @@ def boxes_of(text: str) -> Array:
     Raises:
         ValueError: the text is none, in words that follow `samples:`.
     """
-    try:
-        rows = [[float(cell) for cell in line.split(",")] for line in text.split()]
-    except ValueError:
-        rows = []
-    if not rows or any(len(row) != 6 or not all(map(math.isfinite, row)) for row in rows):
-        raise ValueError("expected rows of six numbers, two corners of a box")
-    if len(rows) > MOST_BOXES:
-        raise ValueError(f"{len(rows)} boxes: expected at most {MOST_BOXES}")
-    corners = np.array(rows)
+    corners = read_table(text, (*"xyz", *"xyz"))
+    if not 0 < len(corners) <= MOST_BOXES:
+        raise ValueError(f"{len(corners)} boxes: expected 1 to {MOST_BOXES}, two corners in a row")
     if not (corners[:, :3] < corners[:, 3:]).all() or np.abs(corners).max() > 2e6:
         raise ValueError("expected boxes whose second corner is above the first, up to 2e6 m")
     return corners

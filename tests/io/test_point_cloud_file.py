@@ -92,8 +92,7 @@ def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
     [
         ("a.ply", "plyx\n", "with a line end_header"),
         ("a.ply", ply("ascii 9").replace("ascii", "text"), "format text: expected ascii"),
-        ("a.ply", ply("ascii", "x y"), "expected properties x, y and z"),
-        ("a.ply", ply("ascii", "x x y z"), "each name once"),
+        ("a.ply", ply("ascii", "x y"), "expected fields x, y and z, each"),
         ("a.ply", ply("ascii", vertices="-1"), "element vertex -1: expected a whole number"),
         ("a.ply", ply("ascii").replace("vertex 3", "edge 3"), "expected vertices as the first"),
         ("a.ply", ply("ascii").replace("float x", "list uchar int x"), "a property of one number"),
@@ -138,14 +137,14 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
             header("binary_compressed") + "1234",
             "DATA binary_compressed: expected ascii or",
         ),
-        ("a.pcd", header("ascii", fields="x y i"), "no field z: expected fields x, y and z"),
+        ("a.pcd", header("ascii", fields="x y i"), "expected fields x, y and z, each"),
         ("a.pcd", header("ascii", kinds="F F Q"), "field z: Q4: expected a type of PCD"),
         ("a.pcd", header("ascii", kinds="F F"), "expected as many words in FIELDS"),
         ("a.pcd", header("ascii").replace("POINTS 3", "POINTS -3"), "POINTS -3: expected whole"),
         (
             "a.pcd",
             header("ascii").replace("WIDTH", "COUNT 1 2 1\nWIDTH"),
-            "field y: COUNT 2: expected 1 to 1",
+            "expected fields x, y and z, each of one number",
         ),
     ],
 )

@@ -85,7 +85,7 @@ def test_a_map_is_as_far_as_its_nearest_cell() -> None:
         ({"file": "a.csv", "resolution_m": None}, r"\[0\]\.resolution_m: None: expected a number"),
         ({"file": "a.csv", "resolution_m": 1e-3}, r"resolution_m: 0\.001: expected a number from 0\.01"),
         ({"resolution_m": 1}, r"\[0\]\.samples: missing: expected file: NAME and resolution_m, or"),
-        ({"samples": "1,2"}, r"\[0\]\.samples: expected rows of six numbers"),
+        ({"samples": "1,2"}, r"\[0\]\.samples: row 1: 2 numbers: expected x, y, z, x, y, z"),
         ({"samples": "1,1,1,0,2,2"}, r"\[0\]\.samples: expected boxes whose second corner"),
         ({"samples": "0,0,0,1,1,1", "radius_m": 1}, r"radius_m: not a key of kind map: expected file"),
     ],
