@@ -103,10 +103,6 @@ _LEAST_STEP_S = 0.01
 _FARTHEST = 1e6
 
 
-class FunctionError(PluginError, ScenarioError):
-    """A trajectory or shape of the user that cannot be called, or that gives no places."""
-
-
 def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
     """`tree` with the whole paths, from a folder, of the files of its functions below the given keys.
 
@@ -164,7 +160,7 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     """`tree` with rows in the place of a function, called for `duration_s` (100) each `step_s` (0.1).
 
     Raises:
-        FunctionError: the function cannot be loaded or called, or gives no position.
+        ScenarioError: the function cannot be loaded or called, or gives no position.
     """
     block = _of_user(tree, "trajectory")
     if block is None:
@@ -180,19 +176,19 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     )
     count = math.ceil(duration_s / step_s - 1e-9) + 1
     if not 2 <= count <= MOST_POINTS:
-        raise FunctionError(
+        raise ScenarioError(
             f"{where}.step_s: {step_s:g}: {count} rows in {duration_s:g} s: expected 2 to {MOST_POINTS}"
         )
     arguments = block.get("arguments") or {}
     if not isinstance(arguments, dict):
-        raise FunctionError(f"{where}.arguments: expected a mapping of names to values")
+        raise ScenarioError(f"{where}.arguments: expected a mapping of names to values")
     rows = []
     for k in range(count):
         t = round(step_s * k, 9)
         row = _numbers(_called(function, t, arguments), (3, 4), function, f" at t = {t:g}")
         rows.append((t, *row))
     if len({len(row) for row in rows}) > 1:
-        raise FunctionError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
+        raise ScenarioError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
     text = "\n".join(",".join(f"{number:.12g}" for number in row) for row in rows)
     trajectory = {"kind": "csv", "samples": text, **known}
     return {
@@ -205,7 +201,7 @@ def with_shape(tree: Tree, source: str) -> Tree:
     """`tree`, which is whole, with offsets in the place of a function of the number of UAVs.
 
     Raises:
-        FunctionError: the function cannot be loaded or called, or does not give a place for each UAV.
+        ScenarioError: the function cannot be loaded or called, or does not give a place for each UAV.
     """
     block = _of_user(tree, "shape")
     uavs, leader = tree.get("uavs"), tree.get("leader")
@@ -222,7 +218,7 @@ def with_shape(tree: Tree, source: str) -> Tree:
     followers = [uav for uav in ids if isinstance(uav, int) and uav != leader.get("id")]
     places = _called(function, len(ids), arguments)
     if len(places) != len(ids):
-        raise FunctionError(
+        raise ScenarioError(
             f"{place_of(function)}: {len(places)} places: expected one for each of {len(ids)} UAVs, "
             "the leader's first"
         )
@@ -249,12 +245,12 @@ def whole_path(kind: str, named: str, folder: Path) -> str:
     """FILE.py:NAME with the whole path of the file, which is beside the scenario or that of an entry point.
 
     Raises:
-        FunctionError: it is neither FILE.py:NAME nor the name of an entry point, or that does not load.
+        ScenarioError: it is neither FILE.py:NAME nor the name of an entry point, or that does not load.
     """
     if ":" in named:
         return _beside(named, folder)
     if _entry(kind, named) is None:
-        raise FunctionError(
+        raise ScenarioError(
             f"{kind}: {named}: expected FILE.py:NAME, or the name of an entry point {kind}.NAME in {GROUP}"
         )
     function = _function(named, kind, folder, kind)
@@ -287,15 +283,15 @@ def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
         try:
             return function_in(Path(file), name, f"a {what}")
         except PluginError as error:
-            raise FunctionError(f"{where}.kind: {error}") from error
+            raise ScenarioError(f"{where}.kind: {error}") from error
     try:
         found = _entry(what, kind).load()
     except Exception as error:
-        raise FunctionError(
+        raise ScenarioError(
             f"{where}.kind: {kind}: {type(error).__name__}: {error}: expected an entry point that loads"
         ) from error
     if not isinstance(found, FunctionType):
-        raise FunctionError(f"{where}.kind: {kind}: {type(found).__name__}: expected a function")
+        raise ScenarioError(f"{where}.kind: {kind}: {type(found).__name__}: expected a function")
     return found
 
 
@@ -304,7 +300,7 @@ def _called(function: FunctionType, given: float, arguments: Tree) -> list[Any]:
     try:
         return list(function(given, **arguments))
     except Exception as error:
-        raise FunctionError(
+        raise ScenarioError(
             f"{place_of(function, error)}: {type(error).__name__}: {error}"
         ) from error
 
@@ -318,7 +314,7 @@ def _numbers(
         numbers = []
     if len(numbers) not in widths or not all(abs(number) <= _FARTHEST for number in numbers):
         expected = " or ".join(map(str, widths))
-        raise FunctionError(
+        raise ScenarioError(
             f"{place_of(function)}: gave {given!r:.80}{at}: expected {expected} numbers, none beyond 1e6"
         )
     return numbers

@@ -116,8 +116,6 @@ def parse_json(text: str, source: str) -> Tree:
         raise ScenarioError(f"{source}: {where}: {error.msg}: expected JSON") from None
     except (RecursionError, ValueError) as error:
         raise ScenarioError(f"{source}: not JSON: {_one_line(error)}") from None
-    if not isinstance(tree, dict):
-        raise ScenarioError(f"{source}: {type(tree).__name__}: expected a mapping with a name")
     return tree
 
 
