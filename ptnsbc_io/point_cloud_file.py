@@ -78,7 +78,7 @@ class _Field(NamedTuple):
 
     name: str
     type: str  # as NumPy names it
-    count: int = 1
+    size: int = 1  # numbers
 
 
 def _points(
@@ -87,16 +87,16 @@ def _points(
     """The fields x, y and z of `count` records, as rows of text or in binary; after text `more` may follow."""
     names = [field.name for field in fields]
     axes = [names.index(axis) for axis in "xyz" if axis in names]
-    if len(axes) < 3 or any(fields[place].count != 1 for place in axes):
+    if len(axes) < 3 or any(fields[place].size != 1 for place in axes):
         raise PointCloudFileError("expected fields x, y and z, each of one number")
     if not text:
-        record = np.dtype([(f"{k}", field.type, (field.count,)) for k, field in enumerate(fields)])
+        record = np.dtype([(f"{k}", field.type, (field.size,)) for k, field in enumerate(fields)])
         size = count * record.itemsize
         if not 0 < size <= len(data):
             raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
         points = np.frombuffer(data, record, count)
         return np.concatenate([points[f"{k}"].astype(np.float64) for k in axes], axis=1)
-    columns = [sum(field.count for field in fields[:place]) for place in axes]
+    columns = [sum(field.size for field in fields[:place]) for place in axes]
     rows: Array | tuple[()] = ()
     try:
         if data.strip():
