@@ -20,6 +20,8 @@ from ptnsbc_nodes.uav.uav_controller import StepTime, UavFlight, step_time
 from ptnsbc_sim.counters import status_every
 from ptnsbc_sim.scenario import Scenario
 
+_COMPARED_NS = 100_000_000
+"""Between two looks at the clocks of others."""
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
 
@@ -38,6 +40,7 @@ class RealTimeClock:
         self._ticker: Ticker | None = None
         self._compared: Senders | None = None  # those whose clocks are compared with ours
         self._offsets = ClockOffsetMonitor(())
+        self._compared_ns = 0
 
     def epoch_ns(self, *, first: bool, at_once: bool) -> int:
         """The epoch of a leg that is announced now."""
@@ -74,7 +77,9 @@ class RealTimeClock:
         if self._compared is not inbox.senders:
             self._compared = inbox.senders
             self._offsets = ClockOffsetMonitor(inbox.topic_names(flight.uav))
-        self._offsets.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
+        if not 0 <= now_ns - self._compared_ns < _COMPARED_NS:
+            self._compared_ns = now_ns
+            self._offsets.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
         if inbox.own is None or flight.controller.odometry_stale(now_ns):
             return None
         return step_time(now_ns, elapsed_ns, flight.leg(now_ns), self._start_ns)

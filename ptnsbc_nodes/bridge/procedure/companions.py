@@ -89,7 +89,9 @@ class Placement:
     def text(self) -> str:
         """The position in words; empty while none is known."""
         odometry = self._state_publisher.odometry
-        return "" if odometry is None else "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3])
+        return (
+            "" if odometry is None else "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3].tolist())
+        )
 
     def misplaced(self) -> str:
         """The reason why the vehicle may not arm where it stands: by the scenario, and by the others."""
