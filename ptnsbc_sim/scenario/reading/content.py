@@ -134,26 +134,23 @@ def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
     return {**tree, **law, **changes}
 
 
-def refuse_functions(tree: Tree, source: str) -> None:
+def refuse_functions(
+    tree: Tree,
+    source: str,
+    keys: Iterable[str] = ("trajectory", "shape"),
+    why: str = "here: expected the data that it gives",
+) -> None:
     """ScenarioError when a text from outside names code to execute."""
-    _refuse(
-        _of_user(tree, "trajectory") or _of_user(tree, "shape"),
-        source,
-        "here: expected the data that it gives",
-    )
+    for key in keys:
+        if (block := _of_user(tree, key)) is not None:
+            raise ScenarioError(f"{source}: kind: {block['kind']}: not {why}")
 
 
 def refuse_new_functions(tree: Tree, given: Mapping[str, Any], source: str) -> None:
     """ScenarioError when a value from outside of a file, as a ROS parameter, names code to execute."""
-    if any(key.startswith(("leader", "formation")) for key in given):
-        shape = any(key.startswith("formation.shape") or key == "formation" for key in given)
-        block = _of_user(tree, "trajectory") or (_of_user(tree, "shape") if shape else None)
-        _refuse(block, source, "as an override: expected it in a scenario file")
-
-
-def _refuse(block: Tree | None, source: str, why: str) -> None:
-    if block is not None:
-        raise ScenarioError(f"{source}: kind: {block['kind']}: not {why}")
+    shape = any(key.startswith("formation.shape") or key == "formation" for key in given)
+    keys = ("trajectory", "shape") if shape else ("trajectory",)
+    refuse_functions(tree, source, keys, "as an override: expected it in a scenario file")
 
 
 def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
