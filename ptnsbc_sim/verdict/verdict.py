@@ -349,7 +349,7 @@ def _mission_legs(
     for leg, next_s in zip(scenario.legs, until_s, strict=True):
         if leg.due_s > end_s + _EXACT_S and not is_cut_short(scenario.legs, leg):
             continue
-        errors = _errors(recording, leg, judged)
+        errors = _errors(recording, leg, judged, tolerance)
         worst = max(errors or (), key=lambda error: error.error_m, default=None)
         # An error that is no number is off too: a comparison with NaN is false.
         off = [of for of in errors or () if not of.error_m <= tolerance]
@@ -389,7 +389,7 @@ def _named(errors: Iterable[_Error]) -> str:
 
 
 def _errors(
-    recording: Recording, leg: ScheduledLeg, judged: Sequence[LegVerdict]
+    recording: Recording, leg: ScheduledLeg, judged: Sequence[LegVerdict], tolerance: float
 ) -> list[_Error] | None:
     """The known errors of all UAVs when a leg was due; None: a later leg took its place before."""
     if leg.number == FIRST:
@@ -398,15 +398,9 @@ def _errors(
             for uav in judged[0].uavs
             if uav.error_at_deadline_m is not None
         ]
-    if isinstance(leg.leg, LandLeg):  # heights above the ground
+    if isinstance(leg.leg, LandLeg):
         due_ns = recording.first_ns + nanoseconds(leg.due_s)
-        if due_ns > recording.last_ns:
-            return []
-        heights = recording.at(np.array([due_ns])).positions[2, :, 0] - leg.leg.ground_m
-        return [
-            _Error(uav, max(height, 0.0), False)
-            for uav, height in zip(recording.scenario.uav_ids, heights.tolist(), strict=True)
-        ]
+        return _heights(recording, due_ns, leg.leg.ground_m, tolerance)
     if is_cut_short(recording.scenario.legs, leg):
         return None
     return [
@@ -416,3 +410,19 @@ def _errors(
         for due in uav.changes
         if due.number == leg.number and due.due_s == leg.due_s and due.error_m is not None
     ]
+
+
+def _heights(recording: Recording, due_ns: int, ground_m: float, tolerance: float) -> list[_Error]:
+    """The heights above the ground of all UAVs when they had to be down; none when the record of one ends in the air.
+
+    The bridge of a real vehicle that is down and disarmed ends, and with it the record, before the landing is due.
+    """
+    tracks = recording.truth if recording.judged_by == "truth" else recording.odometry
+    heights = []
+    for uav in recording.scenario.uav_ids:
+        at_ns = min(due_ns, tracks[uav].last_ns)
+        height_m = max(float(tracks[uav].at(np.array([at_ns]))[0, 2]) - ground_m, 0.0)
+        if at_ns < due_ns and not height_m <= tolerance:
+            return []
+        heights.append(_Error(uav, height_m, False))
+    return heights

@@ -275,6 +275,23 @@ def test_who_is_still_in_the_air_has_not_landed() -> None:
     assert late.verdict == "missed"
 
 
+@pytest.mark.parametrize(("height_m", "word"), [(0.02, "met"), (1.0, "void")])
+def test_who_is_down_before_the_landing_is_due_has_landed(height_m: float, word: str) -> None:
+    """As real vehicles: the record of each ends when it is disarmed."""
+    recording, odometry = flown(), {}
+    for uav, end_s in {2: 25.0, 3: 26.0}.items():
+        track = recording.odometry[uav].rows(0, recording.odometry[uav].size)
+        kept, values = track.t_ns <= end_s * 1e9, track.values.copy()
+        values[track.t_ns >= (end_s - 1.0) * 1e9, 2] = height_m if uav == 3 else 0.0
+        odometry[uav] = Track(track.t_ns[kept], values[kept])
+    verdict = verdict_on(replace(recording, odometry={**recording.odometry, **odometry}))
+    assert words_of(verdict) == {
+        **dict.fromkeys(["form-1", "there", "wide"], "met"),
+        "land-4": word,
+    }
+    assert verdict.exit_code == (word == "void")
+
+
 def test_a_keep_out_violates_the_leg_in_which_it_was_entered() -> None:
     recording = flown()
     near = recording.odometry[2].at(np.array([11_000_000_000]))[0, :3]
