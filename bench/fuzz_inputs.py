@@ -16,7 +16,6 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagMessage, BagWriter, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet, Transport
@@ -24,6 +23,7 @@ from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_sim.scenario import agent_config, scenario_from_text
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.check import check
+from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.reading.bag_reader import read_recording, read_status
 
 ROOT = Path(__file__).resolve().parents[1]

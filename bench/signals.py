@@ -29,7 +29,6 @@ from typing import NamedTuple
 from bench.stand_ins import stand_ins, write_scenario
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
@@ -37,6 +36,7 @@ from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.verdict.recording import Recording, VerdictError, require_all_uavs
 from ptnsbc_sim.verdict.separation import Separation, joined, separations
 from ptnsbc_sim.verdict.verdict import verdict_on
+from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.reading.bag_reader import read_recording
 
 _VICTIMS = {

@@ -19,10 +19,10 @@ from typing import Any
 from bench.processes import Sampler
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.reading.bag_reader import read_recording
 
 _FORMED_S = 12.0  # faults begin when the formation stands

@@ -12,13 +12,12 @@ stderr; by default in a terminal and in a notebook.
 """
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag.repair import Repaired
 from ptnsbc_sim.scenario import Scenario, available
 from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools.check import CheckReport, Finding
 from ptnsbc_tools.doctor import examine as doctor
-from ptnsbc_tools.library.bags import repair, rerun, trim
+from ptnsbc_tools.library.bags import Repaired, repair, rerun, trim
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, Quantity
 from ptnsbc_tools.library.flying import check, fly, fly_fleet, load, read_bag, verdict
 from ptnsbc_tools.library.new_scenario import new

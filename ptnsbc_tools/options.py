@@ -287,12 +287,26 @@ class ReadOptions:
             LONGEST_S,
         ),
     ] = None
-    odom: Annotated[str, option("--odom TOPIC", "Odometry; {n} is the id of the UAV.")] = (
+    odom: Annotated[str, option("--odom TOPIC", "States; {n} is the id of the UAV.")] = (
         "/uav{n}/odom"
     )
     wrench: Annotated[str, option("--wrench TOPIC", "WrenchStamped, where it is recorded.")] = (
         "/uav{n}/setpoint/wrench"
     )
+    mapped: Annotated[
+        list[str] | None,
+        option(
+            "--map N=TOPIC,...",
+            "States of UAV N; behind a colon its frame: 1=/cf231/pose,2=/tf:cf232.",
+        ),
+    ] = None
+    frame: Annotated[
+        Literal["enu", "ned"], option("--frame", "Of the states; px4_msgs always ned.")
+    ] = "enu"
+    origins: Annotated[
+        list[str] | None,
+        option("--origin N=PLACE", "Zero of its states: x,y,z [m], or 47.3977N,8.5456E,488."),
+    ] = None
     epoch_s: Annotated[
         float | None,
         option(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage
 from ptnsbc_io.bag.metadata import (
@@ -41,7 +45,6 @@ class Bag:
     metadata: Mapping[str, str]
     start_ns: int
     end_ns: int
-    cut: bool  # its end is missing (only with `salvage`)
     salvage: bool  # read around damage instead of raising
     files: tuple[tuple[Path, Contents], ...] = ()  # in order
 
@@ -70,28 +73,59 @@ class Bag:
         raise BagError(f"{self.path}: no attachment {name!r}: expected one of {known}")
 
 
+class _RosbagsBag(Bag):
+    """A bag that rosbags reads; it is opened for every use, so that reading may stop at any message."""
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
+        wanted = frozenset(self.topics if topics is None else topics)
+        with _rosbags(self.path) as reader:
+            chosen = [c for c in reader.connections if c.topic in wanted]
+            if not chosen:  # rosbags takes an empty list for all topics
+                return
+            for connection, stamp_ns, data in reader.messages(connections=chosen):
+                yield BagMessage(connection.topic, stamp_ns, bytes(data))
+
+
+@contextmanager
+def _rosbags(folder: Path) -> Iterator[Any]:
+    from rosbags.rosbag2 import Reader
+
+    try:
+        with Reader(folder) as reader:
+            yield reader
+    except (GeneratorExit, PtnsbcError):
+        raise
+    except Exception as error:
+        # All exceptions: damaged files raise errors of sqlite and YAML, key errors and value errors.
+        raise BagError(
+            f"{folder} cannot be read ({type(error).__name__}: {error}): expected a folder "
+            "that rosbag2 wrote, with its metadata.yaml"
+        ) from error
+
+
 def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
-    """Open a bag: its folder, or an .mcap file itself.
+    """Open a bag of any kind, its folder or one of its files: MCAP is read here, all else by the library rosbags.
 
     With `salvage` it may lack its end (a killed recording) or be damaged, and is read around that.
 
     Raises:
         BagError: The path is missing, is no MCAP file, is cut, is damaged or holds no message.
     """
-    files = tuple((file, _read_contents(file, salvage)) for file in mcap_files(Path(path)))
+    path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    single = path.suffix == ".mcap" and path.is_file()
+    if path.exists() and not single and _needs_rosbags(folder):
+        return _rosbags_bag(folder)
+    files = tuple((file, _read_contents(file, salvage)) for file in mcap_files(path))
     topics: dict[str, BagTopic] = {}
     metadata: dict[str, str] = {}
+    counts = sum((contents.counts for _, contents in files), Counter[str]())
     for _, contents in files:
         metadata.update(contents.metadata.get(METADATA_RECORD, {}))
         for channel in contents.channels.values():
             name, schema = channel.topic, contents.schemas.get(channel.schema_id)
-            before = topics[name].messages if name in topics else 0
-            topics[name] = BagTopic(
-                name,
-                schema.name if schema else "",
-                before + contents.counts.get(channel.id, 0),
-                channel.metadata.get("offered_qos_profiles", ""),
-            )
+            offered = channel.metadata.get("offered_qos_profiles", "")
+            topics[name] = BagTopic(name, schema.name if schema else "", counts[name], offered)
     chunks = [chunk for _, contents in files for chunk in contents.chunks]
     if not any(topic.messages for topic in topics.values()):
         raise BagError(f"{files[0][0]} holds no message: did the recorder run while the UAVs did?")
@@ -102,10 +136,43 @@ def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
         metadata=metadata,
         start_ns=min((chunk.first_ns for chunk in chunks), default=0),
         end_ns=max((chunk.last_ns for chunk in chunks), default=0),
-        cut=any(contents.damage.cut for _, contents in files),
         salvage=salvage,
         files=files,
     )
+
+
+def _rosbags_bag(folder: Path) -> Bag:
+    with _rosbags(folder) as reader:
+        found = [c for c in reader.connections if c.msgcount]
+        topics = {c.topic: BagTopic(c.topic, c.msgtype, c.msgcount, _offered_qos(c)) for c in found}
+        span_ns = int(reader.start_time), int(reader.end_time) - 1  # it ends after the last message
+    return _RosbagsBag(folder, topics, (), {}, *span_ns, salvage=False)
+
+
+def _offered_qos(connection: Any) -> str:
+    """The QoS profiles of a topic as rosbag2 writes them, with its numbers; JSON is YAML."""
+    return json.dumps(
+        [
+            {
+                "reliability": profile.reliability.value,
+                "durability": profile.durability.value,
+                "depth": profile.depth,
+            }
+            for profile in connection.ext.offered_qos_profiles
+        ]
+    )
+
+
+def _needs_rosbags(folder: Path) -> bool:
+    """True if a folder holds sqlite3 files, or files that rosbag2 compressed."""
+    if not (folder / METADATA_FILE).is_file():
+        return False
+    if not any(folder.glob("*.mcap")):
+        return True
+    try:
+        return bool(read_metadata(folder / METADATA_FILE).get("compression_mode"))
+    except BagError:
+        return False
 
 
 def mcap_files(path: Path) -> list[Path]:

@@ -250,18 +250,28 @@ class Recording:
     # faults of an operator, in words; those of the scenario are in it
     injected: tuple[str, ...] = ()
     window_s: float | None = None  # judge only so many seconds after its epoch
-    odom: str = "/uav{n}/odom"  # topic of the odometry; {n} is the id of the UAV
+    sources: Mapping[int, str] = field(default_factory=dict)  # topic of the odometry by UAV
 
     @cached_property
     def forms(self) -> tuple[int, ...]:
-        """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded."""
-        forms = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
-        return forms or (min(track.first_ns for track in self.odometry.values()),)
+        """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded.
+
+        One that gives way to the next within a control period is no leg: no UAV has flown it.
+        """
+        first_ns = first_formation_ns(self.epochs)
+        if first_ns is None:
+            return (min(track.first_ns for track in self.odometry.values()),)
+        ends = [*(t0_ns for t0_ns, _ in self.epochs[1:]), NEVER_NS]
+        legs = zip(self.epochs, ends, strict=True)
+        shortest_ns = self.scenario.timing.dt_ns
+        flown = [t0 for (t0, leg), end in legs if leg == FORMATION and end - t0 >= shortest_ns]
+        return tuple(flown or [first_ns])
 
     @property
     def first_ns(self) -> int:
-        """Epoch of the first formation leg, from which the leader's trajectory is counted."""
-        return self.forms[0]
+        """Epoch of the first formation leg that was announced, from which the leader's trajectory is counted."""
+        first_ns = first_formation_ns(self.epochs)
+        return self.forms[0] if first_ns is None else first_ns
 
     @property
     def start_ns(self) -> int:
@@ -371,7 +381,7 @@ def require_all_uavs(recording: Recording) -> None:
     """Raise VerdictError when a UAV of the scenario is missing."""
     missing = [uav for uav in recording.scenario.uav_ids if uav not in recording.odometry]
     if missing:
-        names = ", ".join(recording.odom.replace("{n}", str(uav)) for uav in missing)
+        names = ", ".join(recording.sources.get(uav, f"/uav{uav}/odom") for uav in missing)
         raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
 
 

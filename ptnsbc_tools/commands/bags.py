@@ -47,19 +47,17 @@ def info(
 
     Opens the remains of a killed recording too. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
     """
-    from ptnsbc_io.bag import BagError
+    from ptnsbc_io.bag import BagError, read_bag
     from ptnsbc_io.bag.reader import find_problems
-    from ptnsbc_tools.reading.opener import open_bag
 
-    found = open_bag(bag, salvage=True)
+    found = read_bag(bag, salvage=True)
     if check and not found.files:
         raise BagError(f"{bag}: --check: expected MCAP files: only they have checksums")
     with console.patience(f"reading {bag}"):
         problems = find_problems(found) if check else None
     if json:
-        topics = [topic._asdict() for topic in found.topics.values()]
-        for topic in topics:
-            del topic["offered_qos"]
+        shown = ("name", "type", "messages")
+        topics = [dict(zip(shown, topic, strict=False)) for topic in found.topics.values()]
         console.print_json(
             {
                 "files": [str(path) for path, _ in found.files] or [str(found.path)],
@@ -165,19 +163,6 @@ def trim(
         console.print_json({"bag": str(output), "messages": count})
     else:
         print(f"{console.counted(count, 'message')}: {output}")
-
-
-@bag.command(
-    hidden=True, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
-)
-def merge() -> None:
-    """Refused: other programs merge bags."""
-    from ptnsbc_io.bag import BagError
-
-    raise BagError(
-        "bag merge: no such command any more: expected `mcap merge A.mcap B.mcap -o C.mcap` (the program mcap), "
-        "or `ros2 bag convert` with an -i for each bag"
-    )
 
 
 @bag.command()
@@ -326,9 +311,9 @@ def replay(
 
 
 def _publish(path: Path, playing: Playing, *, json: bool) -> int:
-    from ptnsbc_tools.reading.opener import open_bag
+    from ptnsbc_io.bag import read_bag
 
-    bag = open_bag(path)
+    bag = read_bag(path)
     with ros.required():
         from ptnsbc_nodes.recording import player
     options = player.PlayOptions(**{**vars(playing), "topics": tuple(playing.topics or ("*",))})

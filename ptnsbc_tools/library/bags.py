@@ -1,22 +1,164 @@
-"""Bags: the functions behind `ptnsbc bag trim` and `repair`, and `ptnsbc bag replay --rerun`."""
+"""Bags made of bags: repaired, from all that is readable, or a span; and bags that are run again.
+
+A new bag is written beside its name and renamed at the end. A damaged bag is kept unless it is to be discarded.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
-from ptnsbc_io.bag import repair as repairs
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
+from ptnsbc_io.bag import (
+    Bag,
+    BagError,
+    BagMessage,
+    BagWriter,
+    TopicDeclaration,
+    mcap_file,
+    read_bag,
+)
+from ptnsbc_io.bag.mcap_file import Damage
+from ptnsbc_io.bag.metadata import DamagedError, is_latched, offered_profiles
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import refuse_outside
 from ptnsbc_tools.reading.bag_reader import scenario_of
-from ptnsbc_tools.reading.opener import open_bag
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
 
+_PROGRESS_EVERY = 5000  # messages
 _MOST_JOBS = 4
+
+
+class Repaired(NamedTuple):
+    """The result of a repair."""
+
+    bag: Path
+    original: Path | None  # where the damaged bag is now; None: it was discarded
+    messages: int
+    damaged_chunks: int  # left out, with all messages in them
+    wrong_times: int  # log times that no clock shows, mended
+    cut: bool  # the end was missing
+    last_ns: int  # log time of the newest message [ns]
+
+
+def repair(
+    bag: str | Path,
+    output: str | Path | None = None,
+    *,
+    discard: bool = False,
+    progress: bool | None = None,
+) -> Repaired:
+    """Restore the index and metadata.yaml of a cut or damaged bag, as `ptnsbc bag repair`.
+
+    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced and kept as DIR.original.
+
+    Args:
+        bag: folder of the bag, the .part of a killed recording, or an .mcap file.
+        output: folder of the repaired bag; by default as said above.
+        discard: remove the damaged bag after the repair.
+
+    Raises:
+        BagError: no bag, or nothing in it can be read.
+    """
+    path = Path(os.path.abspath(bag))
+    part = path.with_name(path.name + ".part")
+    source = part if not path.exists() and part.exists() else path
+    if not source.exists():
+        raise BagError(f"{path}: no such bag")
+    if output is None:
+        name = source.name.removesuffix(".part")
+        output = source.with_name(name if source.is_dir() else f"{source.stem}.repaired")
+    target = Path(os.path.abspath(output))
+    # Where the source goes when the target takes its name.
+    moved = source.with_name(source.name + ".original") if target == source else None
+    if (moved or target).exists():
+        raise BagError(
+            f"{moved or target} exists: move it away, or choose another place with --output"
+        )
+    temporary = target.with_name(target.name + ".repairing")
+    temporaries = (temporary, temporary.with_name(temporary.name + ".part"))
+    for leftover in temporaries:
+        if leftover.exists():
+            raise BagError(f"{leftover} exists, of a repair that was interrupted: remove it first")
+    found = read_bag(source, salvage=True)
+    writer = _writer(temporary, found)
+    writer.name = target.name
+    total = sum(topic.messages for topic in found.topics.values())
+    damage = Damage()
+    done = last_ns = 0
+    try:
+        with console.progress("repairing", progress) as advance, writer:
+            for message in _rescued(writer, found, damage):
+                writer.write(*message)
+                done, last_ns = done + 1, max(last_ns, message.stamp_ns)
+                if done % _PROGRESS_EVERY == 0 or done == total:
+                    advance(done, total)
+        if not done:
+            raise BagError(f"{source}: no message can be read: there is nothing to rescue")
+        original: Path | None = source if moved is None else source.rename(moved)
+        temporary.rename(target)
+        if discard and original is not None:
+            shutil.rmtree(original) if original.is_dir() else original.unlink()
+            original = None
+    except BaseException:
+        for leftover in temporaries:
+            shutil.rmtree(leftover, ignore_errors=True)
+        raise
+    return Repaired(target, original, done, damage.chunks, damage.times, damage.cut, last_ns)
+
+
+def _rescued(writer: BagWriter, bag: Bag, damage: Damage) -> Iterator[BagMessage]:
+    """Every readable message; each file of the bag is one of the writer's too."""
+    for file, contents in bag.files:
+        writer.split()
+        damage.chunks += contents.damage.chunks
+        damage.cut |= contents.damage.cut
+        yield from mcap_file.messages(file, contents, None, damage)
+
+
+def _writer(folder: Path, bag: Bag, *, overwrite: bool = False) -> BagWriter:
+    """A writer with the topics, attachments and metadata of a bag, each as its first file has it."""
+    if not bag.files:
+        raise BagError(
+            f"{bag.path}: expected .mcap files, which `ros2 bag convert` makes of others"
+        )
+    topics: dict[str, TopicDeclaration] = {}
+    records: dict[str, Mapping[str, str]] = {}
+    for _, contents in bag.files:
+        records |= contents.metadata
+        for channel in contents.channels.values():
+            schema = contents.schemas.get(channel.schema_id)
+            if schema is None or channel.topic in topics:
+                continue
+            if channel.message_encoding != "cdr":
+                raise BagError(
+                    f"{bag.path}: messages in {channel.message_encoding}: expected cdr (ROS 2)"
+                )
+            topics[channel.topic] = TopicDeclaration(
+                channel.topic,
+                schema.name,
+                schema.data,
+                schema.encoding,
+                channel.message_encoding,
+                channel.metadata.get("topic_type_hash", ""),
+                offered_profiles(channel.metadata.get("offered_qos_profiles", "")),
+                dict(channel.metadata),
+            )
+    attachments = {}
+    for name in bag.attachments:
+        with suppress(DamagedError):
+            attachments[name] = bag.attachment(name)
+    writer = BagWriter(folder, list(topics.values()), attachments=attachments, overwrite=overwrite)
+    records.pop("rosbag2", None)  # the writer makes a new one
+    writer.records.update(records)
+    return writer
 
 
 def trim(
@@ -46,34 +188,32 @@ def trim(
     """
     refuse_outside("begin_s", begin_s)
     refuse_outside("end_s", end_s)
-    with console.progress("trimming", progress) as advance:
-        return repairs.trim(
-            Path(bag), Path(output), begin_s, end_s, overwrite=overwrite, advance=advance
+    whole = read_bag(bag)
+    begin_ns = whole.start_ns + nanoseconds(begin_s)
+    end_ns = whole.end_ns if end_s is None else whole.start_ns + nanoseconds(end_s)
+    latched = {name for name, topic in whole.topics.items() if is_latched(topic.offered_qos)}
+
+    def kept() -> Iterator[BagMessage]:
+        for message in whole.messages():
+            within = begin_ns <= message.stamp_ns <= end_ns
+            if within or (message.topic in latched and message.stamp_ns < begin_ns):
+                yield message
+
+    if not any(begin_ns <= message.stamp_ns <= end_ns for message in whole.messages()):
+        begin, end, last = (seconds(t - whole.start_ns) for t in (begin_ns, end_ns, whole.end_ns))
+        raise BagError(
+            f"{bag}: no message from {begin:g} s to {end:g} s after its first one: "
+            f"expected times from 0 s to {last:g} s"
         )
-
-
-def repair(
-    bag: str | Path,
-    output: str | Path | None = None,
-    *,
-    discard: bool = False,
-    progress: bool | None = None,
-) -> repairs.Repaired:
-    """Restore the index and metadata.yaml of a cut or damaged bag, as `ptnsbc bag repair`.
-
-    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced and kept as DIR.original.
-
-    Args:
-        bag: folder of the bag, the .part of a killed recording, or an .mcap file.
-        output: folder of the repaired bag; by default as said above.
-        discard: remove the damaged bag after the repair.
-
-    Raises:
-        BagError: no bag, or nothing in it can be read.
-    """
-    with console.progress("repairing", progress) as advance:
-        target = None if output is None else Path(output)
-        return repairs.repair(Path(bag), target, discard=discard, advance=advance)
+    writer = _writer(Path(output), whole, overwrite=overwrite)
+    total = sum(topic.messages for topic in whole.topics.values())
+    done = 0
+    with console.progress("trimming", progress) as advance, writer:
+        for done, message in enumerate(kept(), start=1):
+            writer.write(*message)
+            if done % _PROGRESS_EVERY == 0:
+                advance(done, total)
+    return done
 
 
 def rerun(
@@ -100,7 +240,7 @@ def rerun(
         BagError: no bag, or none that can be run again.
     """
     path = Path(bag)
-    found = open_bag(path)
+    found = read_bag(path)
     flown = scenario_of(found, None if scenario is None else Path(scenario))
     flown = _trusted(path, flown, law, plugins)
     with console.compiling():

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
@@ -118,6 +118,9 @@ def read_bag(
     epoch_s: float | None = None,
     odom: str = AS_RECORDED.odom,
     wrench: str = AS_RECORDED.wrench,
+    mapped: Sequence[str] = (),
+    frame: Literal["enu", "ned"] = "enu",
+    origins: Sequence[str] = (),
 ) -> Flight:
     """The flight in a bag, of ours or of another program.
 
@@ -127,15 +130,19 @@ def read_bag(
         tolerance_m: limit of the error at the deadline; by default that of the scenario.
         window_s: judge only the first seconds of each leg.
         epoch_s: epoch in seconds after the start, for a bag that has none.
-        odom: topic of the odometry; {n} is the id of the UAV.
+        odom: topic of the states; {n} is the id of the UAV.
         wrench: topic of the wrench, where it is recorded.
+        mapped, frame, origins: where the states of each UAV are and what they count from, as the options `--map`,
+            `--frame` and `--origin` of `ptnsbc verify`.
 
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
+        TopicPatternError: topics or origins that name no UAV.
         LimitError: a window or an epoch that no bag reaches, or a tolerance that is none.
     """
     given = None if scenario is None else Path(scenario)
-    options = ReadOptions(given, tolerance_m, window_s, odom, wrench, epoch_s)
+    sources = odom, wrench, list(mapped), frame, list(origins)
+    options = ReadOptions(given, tolerance_m, window_s, *sources, epoch_s)
     return flight_in(Path(path), options)
 
 

@@ -12,13 +12,13 @@ from arro3.core import Array, Field, Schema, Table
 from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag import read_bag
 from ptnsbc_io.files import replacing
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import CHARTS, FlightView
-from ptnsbc_tools.reading.opener import open_bag
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
@@ -67,7 +67,7 @@ def report(
     beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
     target = beside_bag if folder is None else Path(folder)
     beside = None if other is None else _view_of(other, options)
-    metadata = {"mode": "headless"} if bag is None else open_bag(bag).metadata
+    metadata = {"mode": "headless"} if bag is None else read_bag(bag).metadata
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ptnsbc_core.nanoseconds import nanoseconds
-from ptnsbc_io.bag import Bag, BagError, BagMessage
+from ptnsbc_io.bag import Bag, BagError, BagMessage, read_bag
 from ptnsbc_io.wire import (
     Diagnostics,
     Stamped,
@@ -24,7 +25,6 @@ from ptnsbc_io.wire import (
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import DecidedSlots, keep_recorded
-from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
 from ptnsbc_sim.counters import COUNTERS
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
@@ -32,7 +32,7 @@ from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
 from ptnsbc_tools.options import AS_RECORDED, UAV, ReadOptions
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
-from ptnsbc_tools.reading.opener import open_bag
+from ptnsbc_tools.reading.vehicle_states import Decoder, state_readers
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 _PLANNER = re.compile(r"uav([0-9]{1,3}): planner")
@@ -46,6 +46,10 @@ _LATENCY = re.compile(r"latency_(\w+)_ms")
 _TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
 _PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
+_STATES: Mapping[str, Decoder] = {topics.odom(1).type: lambda data, _: decode_odometry(data)}
+_WRENCHES: Mapping[str, Decoder] = {
+    topics.wrench_setpoint(1).type: lambda data, _: decode_wrench(data)
+}
 _SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
 
 
@@ -60,20 +64,6 @@ def scenario_of(bag: Bag, given: Path | None) -> Scenario:
     text = bag.attachment(SCENARIO_ATTACHMENT).decode("utf-8", errors="replace")
     source = f"{bag.path.name}:{SCENARIO_ATTACHMENT}"
     return scenario_from_text(text, source=source, complete=True)
-
-
-def _topics_of(uav: int, options: ReadOptions) -> dict[str, Topic]:
-    """The topics of a UAV, by the field of `Recording` that their messages go to."""
-
-    def named(topic: Topic, pattern: str) -> Topic:
-        return topic._replace(name=pattern.replace(UAV, str(uav)))
-
-    return {
-        "odometry": named(topics.odom(uav), options.odom),
-        "wrench": named(topics.wrench_setpoint(uav), options.wrench),
-        "estimate": topics.leader_estimate(uav),
-        "truth": topics.truth(uav),
-    }
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:
@@ -165,7 +155,7 @@ class StatusCollector:
 
 def read_status(path: Path) -> StatusSeries:
     """The values that the nodes of a bag published; empty where none was recorded."""
-    bag, collector = open_bag(path), StatusCollector()
+    bag, collector = read_bag(path), StatusCollector()
     ticks = {name: int(found[1]) for name in bag.topics if (found := _TICK.fullmatch(name))}
     wanted = [name for name in (topics.DIAGNOSTICS.name, *ticks) if name in bag.topics]
     for message in bag.messages(wanted):
@@ -190,16 +180,24 @@ class _Collector:
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
         self._damaged = 0  # statuses that cannot be read
-        self._topics = {uav: _topics_of(uav, options) for uav in scenario.uav_ids}
-        self._samples = TrackWriters[str](file)
-        self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
-        for of_uav in self._topics.values():
-            for goes_to, topic in of_uav.items():
-                decode = decode_wrench if goes_to == "wrench" else decode_odometry
-                self._decoders[topic.name] = decode
-                held = bag.topics.get(topic.name)
-                if held is not None and held.messages and held.type != topic.type:
-                    raise BagError(f"{bag.path}: {held.name} is {held.type}: expected {topic.type}")
+        self._samples = TrackWriters[tuple[str, int]](file)  # by field of `Recording`, by UAV
+        self._decoders: dict[str, list[tuple[tuple[str, int], Decoder]]] = defaultdict(list)
+        self.sources = state_readers(options, scenario)
+        for uav, source in self.sources.items():
+            wrench = options.wrench.replace(UAV, str(uav))
+            for goes_to, name, decoders in (
+                ("odometry", source.topic, source.decoders),
+                ("wrench", wrench, _WRENCHES),
+                ("estimate", topics.leader_estimate(uav).name, _STATES),
+                ("truth", topics.truth(uav).name, _STATES),
+            ):
+                held = bag.topics.get(name)
+                if held is None or not held.messages:
+                    continue
+                if held.type not in decoders:
+                    expected = " or ".join(decoders)
+                    raise BagError(f"{bag.path}: {name} is {held.type}: expected {expected}")
+                self._decoders[name].append(((goes_to, uav), decoders[held.type]))
 
     def collect(self, bag: Bag) -> None:
         common = (topics.EPOCH, topics.SLOTS, topics.TAKEN, topics.DIAGNOSTICS)
@@ -228,13 +226,15 @@ class _Collector:
         elif topic == topics.DIAGNOSTICS.name:
             self.counters.add(decode_diagnostics(data))
         else:
-            sample = self._decoders[topic](data)
-            self._samples.add(topic, sample.stamp_ns, sample.values, message.stamp_ns)
+            for key, decode in self._decoders[topic]:
+                sample = decode(data, message.stamp_ns)
+                if sample is not None:
+                    self._samples.add(key, sample.stamp_ns, sample.values, message.stamp_ns)
 
     def tracks(self, field: str) -> dict[int, Track]:
         """The recorded tracks of one field of `Recording` by UAV."""
-        names = {uav: of_uav[field].name for uav, of_uav in self._topics.items()}
-        return {uav: self._tracks[name] for uav, name in names.items() if name in self._tracks}
+        found = {uav: self._tracks.get((field, uav)) for uav in self.sources}
+        return {uav: track for uav, track in found.items() if track is not None}
 
 
 def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
@@ -243,7 +243,7 @@ def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
     """
-    bag = open_bag(path)
+    bag = read_bag(path)
     scenario = scenario_of(bag, options.scenario)
     collector = _Collector(bag, options, scenario)
     collector.collect(bag)
@@ -268,5 +268,5 @@ def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
         latency=collector.counters.latency,
         injected=tuple(collector.counters.injected),
         window_s=options.window_s,
-        odom=options.odom,
+        sources={uav: source.name for uav, source in collector.sources.items()},
     )

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_io.bag import BagWriter, declare
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate
+from ptnsbc_tools.library.bags import repair
 
 _HZ = 1000  # as often as a fleet speaks
 _EARLIEST, _LATEST = 600, 2500  # ticks

@@ -199,7 +199,6 @@ def test_errors_are_one_line_and_two(words: tuple[str, ...]) -> None:
         (("autopilot", "--key", "x"), "--signing-key"),
         (("simulate", "paper_5", "--deadline", "6"), "--set gains.formation.deadline_s=S"),
         (("simulate", "paper_5", "--duration", "5m"), 'as in "5 s"'),
-        (("bag", "merge", "a", "b", "-o", "c"), "mcap merge"),
         (("export", "bags/sample", "-o", "a.rrd"), "Rerun opens the .mcap file"),
     ],
 )

@@ -351,3 +351,13 @@ def test_legs_at_a_time_in_utc_and_on_a_word_are_judged_when_they_are_due() -> N
         ("utc", "met", 6.5, 11.5),
         ("gate", "met", 12.25, 17.25),
     ]
+
+
+def test_legs_of_no_length_are_no_legs(fly: Fly) -> None:
+    """Six legs within 8 ms voided the verdict."""
+    repeated = tuple((k * 1_600_000, "form") for k in range(6))
+    one, six = (
+        verdict_on(fly(seconds=15.0, epochs=epochs)) for epochs in (repeated[-1:], repeated)
+    )
+    assert (six.verdict, len(six.legs)) == (one.verdict, 1) == ("met", 1)
+    assert six.epoch_s == one.epoch_s

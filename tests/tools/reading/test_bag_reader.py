@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagError, BagWriter, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import (
     Diagnostics,
     DiagnosticStatus,
@@ -30,14 +29,13 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.library.bags import trim
+from ptnsbc_tools.library.bags import repair, trim
 from ptnsbc_tools.options import ReadOptions, TopicPatternError
 from ptnsbc_tools.reading.bag_reader import (
     DiagnosticCounters,
     read_recording,
 )
 from ptnsbc_tools.reading.disk_track import SampleFile
-from ptnsbc_tools.reading.opener import open_bag
 from ptnsbc_tools.replay.rerun import rerun
 
 
@@ -331,7 +329,7 @@ def test_every_command_reads_a_bag_that_rosbag2_converted(headless, scenario, tm
         }
         for connection, stamp_ns, data in reader.messages():
             writer.write(made[connection.topic], stamp_ns, data)
-    flown, bag = read_bag(headless), open_bag(tmp_path / "bag")
+    flown, bag = read_bag(headless), read_bag(tmp_path / "bag")
     kept = {name: topic for name, topic in flown.topics.items() if topic.messages}
     assert {name: topic.messages for name, topic in bag.topics.items()} == {
         name: topic.messages for name, topic in kept.items()

@@ -10,9 +10,9 @@ import pytest
 
 from ptnsbc_io.bag import BagWriter, SplitLimits, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_integers
 from ptnsbc_nodes.uav.step_log import tick_note
+from ptnsbc_tools.library.bags import repair
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 import doctor
