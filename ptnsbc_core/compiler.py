@@ -1,12 +1,11 @@
 """Compilation of the kernels by numba: in two steps, and with pointers in the place of wide tuples.
 
-Promise: the first flight of a fresh installation compiles in some 20 s of a processor. By numba's own way it took 70 to
-100 s. numba optimises and emits every function on its own, with wrappers for Python, although it does all of it again
-where the function is a part of another one. It passes a NamedTuple field by field: the constants of a UAV were 149
-arguments of each law. And a vector operation of one line is a function like any other.
+Promise: the first flight of a fresh installation compiles in some 20 s of a processor, by numba's own way in 70 to 100.
+numba optimises and emits every function on its own and again as a part of others, and passes a NamedTuple field by
+field: the constants of a UAV were 149 arguments of each law.
 
 - A kernel that a kernel calls is a *part*: its LLVM code is linked into the kernel that Python calls, which alone is
-  optimised, emitted and kept on disk. Two classes of libraries override what numba does with a finished module.
+  optimised, emitted and kept on disk. There a part is internal: it goes inline where it is called once.
 - A `Pointer` points to a NamedTuple in memory. A field is read where it is used.
 - A *formula* is a Python function without branches. The compiler calls it with placeholders for numbers; each operation
   on a placeholder writes its LLVM instruction into the kernel.
@@ -34,6 +33,7 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 import llvmlite.ir as ir
 import numba
+from llvmlite.binding import Linkage
 from numba import _dynfunc, types
 from numba.core import cgutils, event
 from numba.core.callconv import create_error_model
@@ -78,7 +78,12 @@ class _Whole(JITCodeLibrary):
         ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr and function.name.startswith("_ZN"):
+                # a weak function of its name in another module would be linked to this one
+                function.linkage, function.name = Linkage.internal, "part"
+        loops = {"loop_vectorize": False, "slp_vectorize": True}  # laws: small vectors, short loops
+        passes, builder = self._codegen._module_pass_manager(**loops)
         with self._recorded_timings.record("Module passes", builder):
             passes.run(self._final_module, builder)
 
