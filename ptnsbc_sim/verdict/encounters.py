@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core import kernel
 from ptnsbc_core.behaviours.recovery import recovery_duration
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.tasks.near_constraints import LATENCIES
@@ -90,7 +91,8 @@ def _recovery(alike: _Alike) -> Callable[[int, float], float]:
         constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
         return lambda *_: constant
     configs, rest_s = recovery_configs(scenario), min(settling, _SLOWEST_RECOVERY_S)
-    return lambda uav, error_m: recovery_duration(error_m, configs[uav]) + rest_s
+    duration_s = kernel.prepared(recovery_duration, 0.0, configs[scenario.leader.id])
+    return lambda uav, error_m: duration_s(error_m, configs[uav]) + rest_s
 
 
 def rising(counters: Mapping[int, Track], name: str) -> dict[int, list[Window]]:
@@ -141,8 +143,10 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     if not ends:
         return {uav: [] for uav in scenario.uav_ids}
     recovery = _recovery(_Alike(scenario))
-    back_s = {  # of every UAV, by the end of the encounter
-        uav: {end: recovery(uav, error_m) for end, error_m in zip(ends, off, strict=True)}
+    back_ns = {  # of every UAV, by the end of the encounter
+        uav: {
+            t: t + nanoseconds(recovery(uav, error_m)) for t, error_m in zip(ends, off, strict=True)
+        }
         for uav, off in zip(scenario.uav_ids, _to_regain(recording, ends).tolist(), strict=True)
     }
     cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
@@ -155,10 +159,10 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
             for hops, ancestor in enumerate(line):
                 for begin, end in own.get(ancestor, ()):
                     if end >= from_ns and begin < until_ns:  # the slowest of them is back last
-                        slowest_s = max([back_s[other][end] for other in line[: hops + 1]])
-                        spans.append(Encounter(begin, end, end + nanoseconds(slowest_s)))
+                        slowest_ns = max([back_ns[other][end] for other in line[: hops + 1]])
+                        spans.append(Encounter(begin, end, slowest_ns))
         # A UAV that comes has its own deadline, and disturbs nobody.
-        spans += [Encounter(a, b, b + nanoseconds(back_s[uav][b])) for a, b in away[uav]]
+        spans += [Encounter(a, b, back_ns[uav][b]) for a, b in away[uav]]
         result[uav] = _joined(spans)
     return result
 

@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict.recording import Instants, Recording, by_phase, seconds_since
-from ptnsbc_sim.verdict.track import ValueAt, lengths, max_of, vectors_at
+from ptnsbc_sim.verdict.track import ValueAt, lengths, vectors_at
 
 
 def formation_errors(recording: Recording, block: Instants) -> Array:
@@ -73,7 +73,7 @@ class EstimatorErrors:
         self._deadline_s = recording.scenario.gains.estimator.deadline_s
         told = (uav for uav in recording.flown.followers if uav in recording.estimate)
         self._at = {uav: ValueAt(self._deadline_s) for uav in told}
-        self._max: dict[int, float] = {}
+        self._largest = np.full(len(self._at), -np.inf)
 
     def add(self, block: Instants) -> None:
         """Take the next instants."""
@@ -87,15 +87,16 @@ class EstimatorErrors:
                 counts &= (stamps < absence.begin_ns) | (stamps >= absence.noticed_ns)
         estimates = vectors_at(self._recording.estimate, list(self._at), stamps)
         errors = lengths(estimates - leader[:, None])
-        for (uav, at), error in zip(self._at.items(), errors, strict=True):
+        for at, error in zip(self._at.values(), errors, strict=True):
             at.add(block.times, error)
-            there = counts
+        errors = np.where(counts, errors, -np.inf)
+        for row, uav in enumerate(self._at):
             for absence in absences[uav]:
-                there = there & ((stamps < absence.begin_ns) | (stamps >= absence.end_ns))
-            after = error[there]
-            if after.size:
-                self._max[uav] = max_of(self._max.get(uav), after.max())
+                errors[row, (stamps >= absence.begin_ns) & (stamps < absence.end_ns)] = -np.inf
+        self._largest = np.maximum(self._largest, errors.max(axis=1))
 
     def results(self) -> list[EstimatorError]:
         """The errors of every follower."""
-        return [EstimatorError(uav, at.value, self._max.get(uav)) for uav, at in self._at.items()]
+        largest = [None if most == -np.inf else most for most in self._largest.tolist()]
+        figures = zip(self._at.items(), largest, strict=True)
+        return [EstimatorError(uav, at.value, most) for (uav, at), most in figures]

@@ -389,16 +389,16 @@ def recording_of(flight: HeadlessFlight) -> Recording:
     """The input of a verdict from a headless flight, without a bag."""
     scenario, track, uavs = flight.scenario, flight.track, flight.scenario.uav_ids
     start_ns = int(flight.t_ns[0])
-    heard = ~gone(scenario)  # a UAV whose process is dead sends nothing
+    dead = gone(scenario)  # a UAV whose process is dead sends nothing
 
     def all_of(values: Array, every: int = 1) -> Together:
         return Together(uavs, Track(flight.t_ns[::every], values))
 
     def sent(values: Array, every: int = 1) -> Mapping[int, Track]:
         """Tracks of values (T / every, N, ...) without those of silent ticks."""
-        if heard.all():
+        if not dead.any():
             return all_of(values, every)
-        t_ns, there = flight.t_ns[::every], heard[::every].T
+        t_ns, there = flight.t_ns[::every], ~dead[::every].T
         return {
             uav: Track(t_ns[ticks], values[ticks, row])
             for row, (uav, ticks) in enumerate(zip(uavs, there, strict=True))

@@ -102,13 +102,21 @@ class Track:
         return between.reshape(-1, *values.shape[1:])
 
 
-class Together(dict[int, Track]):
+class Together(Mapping[int, Track]):
     """The tracks of UAVs that sampled at the same stamps: views of one track, which is reduced as a whole."""
 
     def __init__(self, uavs: Sequence[int], track: Track) -> None:
-        rows = track.values.swapaxes(0, 1)
-        super().__init__((u, Track(track.t_ns, of)) for u, of in zip(uavs, rows, strict=True))
+        self._rows = {uav: row for row, uav in enumerate(uavs)}
         self.track = track  # values (T, N, width)
+
+    def __getitem__(self, uav: int) -> Track:
+        return Track(self.track.t_ns, self.track.values[:, self._rows[uav]])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
 
 
 def together(tracks: Mapping[int, Track]) -> list[tuple[tuple[int, ...], Track]]:
