@@ -125,10 +125,8 @@ class BagWriter:
 
     Args:
         directory: Folder of the finished bag; it must not exist unless `overwrite` is set.
-        topics: Every topic that will be written.
         attachments: Files to carry inside the bag, by name.
         metadata: Key and value pairs of the MCAP metadata record `ptnsbc`.
-        compression: Of the chunks.
         overwrite: Replace an existing bag, once the new one is complete.
         limits: When to go on in another file.
 

@@ -173,11 +173,8 @@ def trim(
     """Write a span of a bag into a new one, as `ptnsbc bag trim`; times and bytes of the messages stay.
 
     Args:
-        bag: folder of the bag, or its .mcap file.
-        output: folder of the new bag.
         begin_s: keep messages from here on [s], after the first one.
         end_s: keep messages up to here [s]; None: all.
-        overwrite: replace an existing bag.
 
     Returns:
         The number of messages in the span.
@@ -227,7 +224,6 @@ def rerun(
     """Run the recorded inputs of a flight through the controllers again, as `ptnsbc bag replay --rerun`.
 
     Args:
-        bag: folder of a bag of ours, or its .mcap file.
         scenario: scenario file to use instead of the attached one.
         law: FILE.py:NAME to execute, of a bag whose scenario names a law.
         plugins: FILE.py:NAME to execute, of a bag whose scenario names a task or a controller.

@@ -126,10 +126,7 @@ Decoder = Callable[[bytes, int], Stamped | None]
 class StateReader:
     """Reads the states of a UAV, message by message.
 
-    Args:
-        name: topic, and behind a colon the frame of the vehicle, where the topic holds several.
-        origin: zero of the positions (3,) [m], in the world.
-        ned: the world of the messages is NED, and the body FRD.
+    `name`: topic, and behind a colon the frame of the vehicle; `origin`: zero of its positions (3,) [m], in the world.
     """
 
     def __init__(self, name: str, origin: Array, *, ned: bool) -> None:
