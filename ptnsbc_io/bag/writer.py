@@ -127,8 +127,6 @@ class BagWriter:
         directory: Folder of the finished bag; it must not exist unless `overwrite` is set.
         attachments: Files to carry inside the bag, by name.
         metadata: Key and value pairs of the MCAP metadata record `ptnsbc`.
-        overwrite: Replace an existing bag, once the new one is complete.
-        limits: When to go on in another file.
 
     Attributes:
         name: Prefix of the file names; it may be changed before `open`.

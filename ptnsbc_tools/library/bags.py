@@ -62,10 +62,6 @@ def repair(
     Args:
         bag: folder of the bag, the .part of a killed recording, or an .mcap file.
         output: folder of the repaired bag; by default as said above.
-        discard: remove the damaged bag after the repair.
-
-    Raises:
-        BagError: no bag, or nothing in it can be read.
     """
     path = Path(os.path.abspath(bag))
     part = path.with_name(path.name + ".part")

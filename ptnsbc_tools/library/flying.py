@@ -84,7 +84,6 @@ def fly(scenario: ScenarioLike, *, checked: bool = True, progress: bool | None =
     The first flight after an installation compiles the laws, which takes some 25 s.
 
     Args:
-        scenario: what to fly.
         checked: check it first: errors are raised, warnings are Python warnings. False: no check.
 
     Raises:
@@ -125,10 +124,8 @@ def read_bag(
     """The flight in a bag, of ours or of another program.
 
     Args:
-        path: folder of the bag, or its .mcap file.
         scenario: scenario file to use instead of the attached one.
         tolerance_m: limit of the error at the deadline; by default that of the scenario.
-        window_s: judge only the first seconds of each leg.
         epoch_s: epoch in seconds after the start, for a bag that has none.
         odom: topic of the states; {n} is the id of the UAV.
         wrench: topic of the wrench, where it is recorded.
@@ -150,7 +147,6 @@ def verdict(flight: Flight, tolerance_m: float | None = None, *, strict: bool = 
     """The verdict on a flight, as `ptnsbc verify`; VerdictError when the recording cannot be judged.
 
     Args:
-        flight: the flight.
         tolerance_m: limit of the error at the deadline; by default as the flight says.
         strict: UAVs that gave way and came late have missed.
     """
@@ -172,7 +168,6 @@ def fly_fleet(
     Call it from the main thread. Ctrl-C ends the flight in order.
 
     Args:
-        scenario: what to fly.
         lockstep: as fast as possible, with the same bytes every time; by default by the wall clock.
         bag: folder to record into; by default a temporary one, which is read and removed.
         overwrite: replace an existing bag.
