@@ -69,12 +69,9 @@ def _middleware() -> Findings:
 
             name = str(get_rmw_implementation_identifier())
     except PtnsbcError as error:
-        yield judge(
-            "middleware",
-            str(error),
-            "rclpy",
-            "fly and judge without it: ptnsbc simulate, sweep, verify",
-        )
+        advice = "fly and judge without it: ptnsbc simulate, sweep, verify"
+        level = WARNING if isinstance(error, ros.LibraryMissingError) else ERROR
+        yield judge("middleware", str(error), "rclpy, and processes that hear it", advice, level)
         return
     value = f"{name}, rclpy from {Path(rclpy.__file__).parents[1]}"
     advice = "" if name == "rmw_fastrtps_cpp" else "unset RMW_IMPLEMENTATION"

@@ -44,6 +44,7 @@ def required(advice: str = INSTALL) -> Iterator[None]:
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
+    environment.refuse_lonely_middleware()
     try:
         yield
     except ImportError as error:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import random
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager, suppress
@@ -38,6 +39,8 @@ _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands o
 _FIRST_LOCK = 32768
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
+_LOADS = "get_rmw_implementation_identifier"
+_REFUSAL_S = 0.2  # in which a host says that nobody has a port
 
 
 class DomainError(PtnsbcError):
@@ -77,6 +80,56 @@ def prepare() -> None:
     # The wheels put the ament index into the environment's prefix, but do not set the variable.
     if wheels:
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def refuse_lonely_middleware() -> None:
+    """Raise NetworkError for variables with which the middleware ends the process, or hears nobody.
+
+    For commands and launchers: a node that boots before its discovery server waits for it.
+    """
+
+    def refuse(name: str, why: str) -> dds_profiles.NetworkError:
+        return dds_profiles.NetworkError(f"{name}={os.environ[name]}: {why}")
+
+    if os.environ.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
+        # It ends the process that loads it: another one tries.
+        command = [sys.executable, "-c", f"from rclpy.utilities import {_LOADS} as load; load()"]
+        if subprocess.run(command, capture_output=True, check=False).returncode:
+            raise refuse("RMW_IMPLEMENTATION", f"this ROS has no such middleware: expected {_RMW}")
+    if os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "OFF":
+        why = "processes would not find each other: expected LOCALHOST, or it unset"
+        raise refuse("ROS_AUTOMATIC_DISCOVERY_RANGE", why)
+    servers = [
+        dds_profiles.server(one)
+        for one in os.environ.get("ROS_DISCOVERY_SERVER", "").split(";")
+        if one and "[" not in one
+    ]
+    if servers and not any(map(_listens, servers)):
+        why = (
+            "nobody listens there: expected a running server (`ptnsbc network server`), or it unset"
+        )
+        raise refuse("ROS_DISCOVERY_SERVER", why)
+    for peer in filter(None, os.environ.get("ROS_STATIC_PEERS", "").split(";")):
+        try:
+            socket.getaddrinfo(peer, None)
+        except OSError:
+            why = f"{peer} is no known host: expected names or addresses, or it unset"
+            raise refuse("ROS_STATIC_PEERS", why) from None
+
+
+def _listens(server: dds_profiles.Server) -> bool:
+    """False if the host of a discovery server answers that nobody has its port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.settimeout(_REFUSAL_S)
+        try:
+            probe.connect(server)
+            probe.send(b"")
+            probe.recv(1)
+        except TimeoutError:
+            return True
+        except OSError:
+            return False
+    return True
 
 
 def one_thread(environment: MutableMapping[str, str]) -> None:
@@ -121,6 +174,7 @@ def _schedule(policy: int, priority: int) -> bool:
 def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     """The environment of the processes of a fleet; writes their discovery profile into `folder`."""
     prepare()
+    refuse_lonely_middleware()
     child = dict(os.environ)
     child[PARENT] = str(os.getpid())
     child["ROS_DOMAIN_ID"] = str(domain)

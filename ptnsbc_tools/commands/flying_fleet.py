@@ -7,6 +7,7 @@ import os
 import re
 import select
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -372,13 +373,19 @@ def _give(
             return code
     from ptnsbc_nodes.comm.seal import operators_seal
 
-    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
-        from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+    try:
+        with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
+            from ptnsbc_nodes.fleet.fleet_node import LauncherNode
+    except PtnsbcError as error:  # the bridges of this host need no middleware
+        if not (ready or operation.bridges):
+            raise _nobody(domain, str(error)) from None
+        console.say(f"only bridges of this host are reached: {error}")
+        return code if local else _give_here(operation, patience, ready=ready, kill=kill)
     with LauncherNode(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal()) as node:
         if not local:
             operation.remote = node
             if ready:
-                _wait_for_key(operation, node, kill=kill)
+                _wait_for_key(operation, kill=kill)
                 operation.begin()
             else:
                 operation.discover(_DISCOVERY_S)
@@ -393,15 +400,28 @@ def _give(
     return code
 
 
+def _give_here(operation: EmergencyStop, patience: float, *, ready: bool, kill: bool) -> int:
+    if ready:
+        _wait_for_key(operation, kill=kill)
+        operation.begin()
+    operation.run(patience)
+    return _report(operation)
+
+
 def _tell_leader(node: LauncherNode, domain: int, *, kill: bool) -> int:
     refusal = node.leader.call("stop", _SERVICE_S)
     if refusal is not None:
-        raise PtnsbcError(
-            f"domain {domain}: no bridge listens, and {refusal}: expected a fleet there"
-        )
+        raise _nobody(domain, f"{refusal}: expected a fleet there")
     motors = "; a simulated fleet has no motors to stop" if kill else ""
     console.say(f"landing: the leader is told, there is no bridge{motors}")
     return 0
+
+
+def _nobody(domain: int, why: str) -> PtnsbcError:
+    return PtnsbcError(
+        f"domain {domain}: no bridge listens, and {why}. The order holds: a bridge that starts "
+        "there obeys it, until `ptnsbc stop --clear`"
+    )
 
 
 def _report(operation: EmergencyStop) -> int:
@@ -415,13 +435,16 @@ def _report(operation: EmergencyStop) -> int:
     return 0
 
 
-def _wait_for_key(operation: EmergencyStop, node: LauncherNode, *, kill: bool) -> None:
+def _wait_for_key(operation: EmergencyStop, *, kill: bool) -> None:
     """Look for bridges until a key is pressed; Ctrl-C leaves without an order."""
     what = "STOP ALL MOTORS" if kill else "LAND ALL"
     known: dict[str, str] | None = None
     with _single_keys() as descriptor:
         while not select.select([descriptor], [], [], 0.0)[0]:
-            node.spin(_LOOK_S)
+            if operation.remote is None:
+                time.sleep(_LOOK_S)
+            else:
+                operation.remote.spin(_LOOK_S)
             ways = operation.rehearse()
             if ways not in (known, None):
                 known = ways or {}

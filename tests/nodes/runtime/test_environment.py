@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.runtime import environment, launcher
+from ptnsbc_nodes.runtime import dds_profiles, environment, launcher
 from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
 from ptnsbc_nodes.security.middleware import DdsSecurityError
 
@@ -117,6 +117,31 @@ def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
     settings = environment.for_children(5, 43, tmp_path)
     assert settings["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in settings
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("RMW_IMPLEMENTATION", "rmw_of_nobody", "no such middleware"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "would not find each other"),
+        ("ROS_DISCOVERY_SERVER", "127.0.0.1:1", "nobody listens there"),
+        ("ROS_STATIC_PEERS", "127.0.0.1;no.host.of.this.name.invalid", "is no known host"),
+    ],
+)
+def test_variables_with_which_nobody_is_heard_are_refused_at_once(
+    own_discovery, monkeypatch, tmp_path, name, value, why
+):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(dds_profiles.NetworkError, match=f"{name}={value}.*{why}"):
+        environment.for_children(5, 43, tmp_path)
+
+
+def test_a_discovery_server_that_listens_is_enough(own_discovery, monkeypatch, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        servers = f"127.0.0.1:1;127.0.0.1:{listener.getsockname()[1]}"
+        monkeypatch.setenv("ROS_DISCOVERY_SERVER", servers)
+        assert environment.for_children(5, 43, tmp_path)["ROS_DISCOVERY_SERVER"] == servers
 
 
 def test_a_child_whose_launcher_has_gone_ends(monkeypatch):

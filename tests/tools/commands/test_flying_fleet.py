@@ -261,6 +261,30 @@ def test_a_simulated_fleet_has_no_bridge_but_a_leader(middleware, folder, capsys
         command.stop(domain=DOMAIN, patience=0.5)
 
 
+@pytest.mark.parametrize("kill", [False, True])
+def test_an_order_to_this_host_needs_no_middleware(bridge, folder, monkeypatch, capsys, kill):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    list_fleet(folder, ["bridge1"])
+    bridge()
+    assert give(kill=kill) == 0
+    assert (
+        "bridge1: motors stopped" in (said := capsys.readouterr().err) or "bridge1: landing" in said
+    )
+    assert ("only bridges of this host are reached" in said) is not kill
+    bridge("bridge2")
+    with open(os.devnull) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        with pytest.raises(PtnsbcError, match="the input has ended"):
+            command.stop(kill=kill, ready=True, domain=DOMAIN, patience=1.0)
+
+
+def test_an_order_to_nobody_says_that_it_holds(folder, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    with pytest.raises(PtnsbcError, match=r"DISCOVERY_RANGE=OFF.*The order holds.*stop --clear"):
+        command.stop(domain=DOMAIN, patience=0.5)
+    assert latched(folder) == Order("land")
+
+
 def test_the_order_is_released(folder, capsys):
     latch(folder, Order("kill"))
     command.stop(clear=True, domain=DOMAIN)
