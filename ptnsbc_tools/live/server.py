@@ -12,6 +12,7 @@ import json
 import math
 import queue
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -47,10 +48,12 @@ STOPS = {"stop": ("stop",), "motors": ("stop", "--kill")}
 ORDERS = ("hold", "land", *STOPS)
 """The orders that a page may give; each is confirmed there. Those of STOPS are commands of ptnsbc."""
 _MOST_PAGES = 16
+_MOST_CONNECTIONS = 64  # with those that have shown no token yet
 _LARGEST_ORDER = 1024  # bytes
 _LOOK_S = 0.2
 _LOADING_S = 3.0  # from a page to its socket
 _LAST_S, _SETTLE_S = 5.0, 0.05  # for what pages have not got yet
+_AGAIN_S = 0.01
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src ws://{host}"
@@ -154,6 +157,27 @@ def live_page() -> str:
     )
 
 
+class _Listener(socket.socket):
+    """A listening socket with `_MOST_CONNECTIONS` at a time; whoever comes then is sent away."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(socket.AF_INET, socket.SOCK_STREAM)
+        self._taken: list[socket.socket] = []
+        self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.bind((HOST, port))
+        self.listen()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection; OSError where there is no room for it, or no descriptor."""
+        connection, address = super().accept()
+        self._taken = [each for each in self._taken if each.fileno() != -1]
+        if len(self._taken) == _MOST_CONNECTIONS:
+            connection.close()
+            raise ConnectionRefusedError
+        self._taken.append(connection)
+        return connection, address
+
+
 class LiveServer:
     """Serves the page that `page` makes, and feeds it; use it as a context manager. Port 0: a free one."""
 
@@ -164,12 +188,12 @@ class LiveServer:
         self._feed, self._page = feed, page
         self._pages = threading.BoundedSemaphore(_MOST_PAGES)
         self._loading_s = -math.inf  # until when a page that was asked for may open its socket
-        self._ended = threading.Event()
+        self._ended, self._closed = threading.Event(), threading.Event()
         try:
             self._server = serve(
                 self._serve,
-                HOST,
-                port,
+                sock=_Listener(port),
+                open_timeout=_LOADING_S,
                 process_request=self._answer,
                 max_size=_LARGEST_ORDER,
                 server_header=None,
@@ -179,7 +203,7 @@ class LiveServer:
                 f"--port {port}: {error.strerror or error}: expected a free port, or 0 for any"
             ) from None
         self.port = int(self._server.socket.getsockname()[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread = threading.Thread(target=self._accept, daemon=True)
 
     @property
     def address(self) -> str:
@@ -203,23 +227,29 @@ class LiveServer:
         self._ended.set()
         while self._server.connections and time.monotonic() < limit_s:
             time.sleep(_SETTLE_S)
+        self._closed.set()
         self._server.shutdown()
         self._thread.join()
+
+    def _accept(self) -> None:
+        # it returns at every connection that cannot be accepted
+        while not self._closed.wait(_AGAIN_S):
+            self._server.serve_forever()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, or a refusal; None lets a socket open."""
         try:
             address = urlsplit(request.path)
-            token = parse_qs(address.query).get("token", [""])[0]
+            token = parse_qs(address.query).get("token", [""])[0].encode()
             host = request.headers.get("Host", "")
             origin = request.headers.get("Origin")
-        except ValueError:  # two Host headers, or no address
+        except (ValueError, LookupError):  # no address, a token that is no text, two Host headers
             return connection.respond(400, "not understood\n")
         hosts = (f"{HOST}:{self.port}", f"localhost:{self.port}")
         # Another name that leads here belongs to a page of the internet.
         if host not in hosts or origin not in (None, *(f"http://{one}" for one in hosts)):
             return connection.respond(403, "expected the address that ptnsbc view printed\n")
-        if not hmac.compare_digest(token.encode(), self.token.encode()):
+        if not hmac.compare_digest(token, self.token.encode()):
             return connection.respond(403, "expected the token of the printed address\n")
         if address.path == "/socket" and "Upgrade" in request.headers:
             return None
@@ -280,7 +310,8 @@ def order_in(data: str | bytes, token: str) -> str | None:
     if not isinstance(found, dict) or not isinstance(found.get("token"), str):
         return None
     known = found.get("order") in ORDERS
-    permitted = hmac.compare_digest(found["token"].encode(), token.encode())
+    shown = found["token"].encode(errors="replace")  # JSON may name half of a character
+    permitted = hmac.compare_digest(shown, token.encode())
     return str(found["order"]) if known and permitted else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import http.client
 import json
 import socket
@@ -112,6 +113,47 @@ def test_another_name_or_origin_is_refused(server: LiveServer) -> None:
     assert get(server, path, Origin="http://example.org")[0] == 403
 
 
+def test_two_host_headers_are_answered_by_400(
+    server: LiveServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    with socket.create_connection((HOST, server.port), timeout=30) as visitor:
+        visitor.sendall(b"GET /?token=x HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: localhost\r\n\r\n")
+        assert visitor.recv(100).startswith(b"HTTP/1.1 400 ")
+    assert not caplog.records
+
+
+def test_a_crowd_without_a_token_is_bounded_and_ends(
+    server: LiveServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ptnsbc_tools.live.server._MOST_CONNECTIONS", 3)
+    crowd = [socket.create_connection((HOST, server.port), timeout=30) for _ in range(9)]
+    # those for whom there is no room are sent away at once
+    assert [one.recv(1) for one in crowd[3:]] == [b""] * 6
+    for one in crowd[:3]:  # what they say is no request: each of them is answered, and leaves
+        one.sendall(b"\r\n\r\n")
+        while one.recv(1000):
+            pass
+    for one in crowd:
+        one.close()
+    assert get(server, f"/?token={server.token}")[0] == 200
+
+
+def test_without_a_descriptor_left_the_page_comes_back(
+    server: LiveServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failures = [OSError(errno.EMFILE, "Too many open files")] * 3
+    accept = socket.socket.accept
+
+    def lacking(listener: socket.socket) -> Any:
+        if failures:
+            raise failures.pop()
+        return accept(listener)
+
+    monkeypatch.setattr(socket.socket, "accept", lacking)
+    assert get(server, f"/?token={server.token}")[0] == 200
+    assert not failures
+
+
 def test_it_listens_on_this_host_alone(server: LiveServer) -> None:
     assert server.address.startswith(f"http://127.0.0.1:{server.port}/?token=")
     with socket.socket() as other, pytest.raises(OSError):
@@ -143,6 +185,7 @@ def test_a_socket_gets_the_stage_and_gives_orders(server: LiveServer) -> None:
         '{"order": ["land"], "token": "t"}',
         '{"order": "land", "token": 3}',
         '{"order": "land", "token": "u"}',
+        '{"order": "land", "token": "\\ud800"}',
     ],
 )
 def test_anything_else_is_no_order(data: str | bytes) -> None:
