@@ -53,7 +53,6 @@ _LARGEST_ORDER = 1024  # bytes
 _LOOK_S = 0.2
 _LOADING_S = 3.0  # from a page to its socket
 _LAST_S, _SETTLE_S = 5.0, 0.05  # for what pages have not got yet
-_AGAIN_S = 0.01
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src ws://{host}"
@@ -166,16 +165,23 @@ class _Listener(socket.socket):
         self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.bind((HOST, port))
         self.listen()
+        self.settimeout(_LOOK_S)  # of `accept`: it sees that the socket is closed
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection; OSError where there is no room for it, or no descriptor."""
-        connection, address = super().accept()
-        self._taken = [each for each in self._taken if each.fileno() != -1]
-        if len(self._taken) == _MOST_CONNECTIONS:
+        """The next connection for which there is room and a descriptor; OSError once the socket is closed."""
+        while True:
+            try:
+                connection, address = super().accept()
+            except OSError:
+                if self.fileno() == -1:
+                    raise
+                time.sleep(_SETTLE_S)
+                continue
+            self._taken = [each for each in self._taken if each.fileno() != -1]
+            if len(self._taken) < _MOST_CONNECTIONS:
+                self._taken.append(connection)
+                return connection, address
             connection.close()
-            raise ConnectionRefusedError
-        self._taken.append(connection)
-        return connection, address
 
 
 class LiveServer:
@@ -188,7 +194,7 @@ class LiveServer:
         self._feed, self._page = feed, page
         self._pages = threading.BoundedSemaphore(_MOST_PAGES)
         self._loading_s = -math.inf  # until when a page that was asked for may open its socket
-        self._ended, self._closed = threading.Event(), threading.Event()
+        self._ended = threading.Event()
         try:
             self._server = serve(
                 self._serve,
@@ -203,7 +209,7 @@ class LiveServer:
                 f"--port {port}: {error.strerror or error}: expected a free port, or 0 for any"
             ) from None
         self.port = int(self._server.socket.getsockname()[1])
-        self._thread = threading.Thread(target=self._accept, daemon=True)
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     @property
     def address(self) -> str:
@@ -227,14 +233,8 @@ class LiveServer:
         self._ended.set()
         while self._server.connections and time.monotonic() < limit_s:
             time.sleep(_SETTLE_S)
-        self._closed.set()
         self._server.shutdown()
         self._thread.join()
-
-    def _accept(self) -> None:
-        # it returns at every connection that cannot be accepted
-        while not self._closed.wait(_AGAIN_S):
-            self._server.serve_forever()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, or a refusal; None lets a socket open."""
