@@ -21,7 +21,6 @@ from ptnsbc_tools.library.bags import Repaired, repair, rerun, trim
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, Quantity
 from ptnsbc_tools.library.flying import check, fly, fly_fleet, load, read_bag, verdict
 from ptnsbc_tools.library.new_scenario import new
-from ptnsbc_tools.library.notebook import register as _register
 from ptnsbc_tools.library.reporting import Report, export, report
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.replay.rerun import Rerun
@@ -62,5 +61,3 @@ __all__ = [
     "QUANTITIES",
     "PtnsbcError",
 ]
-
-_register()

@@ -42,13 +42,6 @@ PANELS = {
 """The panels of `help all`: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
 
 _DAILY = ("new", "check", "simulate", "sweep", "fleet", "view", "report", "stop")
-_MOVED = {
-    **{name: f"bag {name}" for name in ("record", "replay")},
-    **{name: f"network {name}" for name in ("params", "key", "node")},
-    "security": "network",
-}
-"""Names of the last version, which this one still takes, and those of today."""
-
 _PLACES = {
     place.rpartition(":")[2]: place for places in PANELS.values() for place in places.split()
 }
@@ -121,13 +114,6 @@ class _Commands(TyperGroup):
                 print(ctx.get_help())
                 ctx.exit()
             args = [*args[1:], "--help"]
-        if args[0] in _MOVED:
-            today = _MOVED[args[0]]
-            if not ctx.resilient_parsing:
-                console.say(
-                    f"ptnsbc {args[0]} is now ptnsbc {today}; the next version takes only that"
-                )
-            args = [*today.split(), *args[1:]]
         if args[0] not in _PLACES:  # Typer suggests the nearest of those that are loaded
             for name in _PLACES:
                 self.get_command(ctx, name)

@@ -141,15 +141,6 @@ StrictOption = Annotated[
 VerboseOption = Annotated[bool, option("--verbose -v", "Print everything.")]
 PlainOption = Annotated[bool, option("--plain", "Lines instead of the table that redraws itself.")]
 AllowArmingOption = Annotated[bool, option("--allow-arming", "Arm real vehicles and take off.")]
-FoxgloveOption = Annotated[
-    int | None,
-    option(
-        "--foxglove PORT",
-        "Serve the live view to Foxglove on this port of this host, e.g. 8765 with the extra `foxglove`.",
-        1,
-        65535,
-    ),
-]
 NetworkOption = Annotated[
     Path | None,
     option(

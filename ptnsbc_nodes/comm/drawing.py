@@ -52,13 +52,10 @@ class Scene:
     The edges of the tree are drawn where every UAV has its own slot.
     """
 
-    def __init__(
-        self, scenario: Scenario, colours: Mapping[int, Sequence[float]] | None = None
-    ) -> None:
-        """`colours` of the UAVs: red, green, blue, opacity; without them the leader differs from the others."""
+    def __init__(self, scenario: Scenario) -> None:
+        """The leader differs in colour from the others."""
         ids = scenario.uav_ids
-        if colours is None:
-            colours = {i: _LEADER if i == scenario.leader.id else _FOLLOWER for i in ids}
+        colours = {i: _LEADER if i == scenario.leader.id else _FOLLOWER for i in ids}
         self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
         drawn = () if scenario.formation.has_open_slots else ids
         tree = {i: scenario.communication.parent(i) for i in drawn}

@@ -23,7 +23,6 @@ from ptnsbc_tools.options import (
     DomainOption,
     DurationOption,
     FlightChoices,
-    FoxgloveOption,
     NamespaceOption,
     NetworkOption,
     OverwriteOption,
@@ -109,7 +108,6 @@ class Views:
     view: Annotated[
         bool, option("--view", "Serve a page with the flight live, and print its address.")
     ] = False
-    foxglove: FoxgloveOption = None
     plain: PlainOption = False
 
 
@@ -238,8 +236,7 @@ def _viewer(request: FleetOptions, views: Views | None, json: bool) -> Viewer:
     dashboard = Dashboard() if terminal and not (views.plain or json) else None
     words = ["--namespace", request.namespace] if request.namespace else []
     words += [] if views.view else ["--no-page"]
-    words += [] if views.foxglove is None else ["--foxglove", str(views.foxglove)]
-    wanted = views.view or views.foxglove is not None or dashboard is not None
+    wanted = views.view or dashboard is not None
     return Viewer(words if wanted else None, request.scenario, dashboard)
 
 

@@ -22,7 +22,6 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import (
     FlyingDomainOption,
-    FoxgloveOption,
     JsonOption,
     NamespaceOption,
     PlainOption,
@@ -250,7 +249,6 @@ def view(
     domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",
     port: Annotated[int, option("--port", "Of the page. Default: a free one.", 0, 65535)] = 0,
-    foxglove: FoxgloveOption = None,
     plain: PlainOption = False,
     healthy: Annotated[
         str,
@@ -275,7 +273,7 @@ def view(
     from ptnsbc_tools.live.dashboard import Dashboard
 
     flown = None if scenario is None else scenario_with(scenario, {})
-    look = partial(watch, number, namespace, flown, port=port if page else None, foxglove=foxglove)
+    look = partial(watch, number, namespace, flown, port=port if page else None)
     if launched:
         look(console.say, lambda _: write_frame, next_word=words_on_stdin())
     elif plain or not sys.stdout.isatty():

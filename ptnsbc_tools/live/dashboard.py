@@ -29,7 +29,7 @@ Sink = Callable[[dict[str, Any]], None]
 """Takes every frame (`FlightState.frame`)."""
 OVER = "over\n"
 """Told to the viewer when the fleet has ended."""
-_ADDRESS = ("live view: ", "Foxglove: ")
+_ADDRESS = "live view: "
 
 
 class Dashboard:

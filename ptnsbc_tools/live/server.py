@@ -1,4 +1,4 @@
-"""The servers of the live view, on ports of 127.0.0.1: the page with its socket, and the scene for Foxglove.
+"""The server of the live view, on a port of 127.0.0.1: the page with its socket.
 
 Page and socket share a port. Both want the token of the printed address.
 The page has the parts of the report's page; what it shows comes over its socket: the stage, the flight so far, and
@@ -22,20 +22,12 @@ from string import Template
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-import numpy as np
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag.metadata import definition
-from ptnsbc_io.wire import Stamped, transform_of
-from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import AgentMessages
-from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools import ros
-from ptnsbc_tools.plotting.charts import COLOURS, look
 from ptnsbc_tools.report.page import asset, plotly
 
 MOST_ROWS = 4000
@@ -313,63 +305,3 @@ def order_in(data: str | bytes, token: str) -> str | None:
     shown = found["token"].encode(errors="replace")  # JSON may name half of a character
     permitted = hmac.compare_digest(shown, token.encode())
     return str(found["order"]) if known and permitted else None
-
-
-def colours_of(scenario: Scenario) -> dict[int, tuple[float, ...]]:
-    """Red, green, blue and opacity of every UAV, as in figures and on the page."""
-    chosen = {uav: COLOURS[look(row).colour] for row, uav in enumerate(scenario.uav_ids)}
-    return {
-        uav: (*(int(word[at : at + 2], 16) / 255 for at in (1, 3, 5)), 1.0)
-        for uav, word in chosen.items()
-    }
-
-
-class FoxgloveSink:
-    """Publishes every frame on a port of this host, as a bag holds it; use it as a context manager.
-
-    Topics: `/scene` (MarkerArray), `/tf` (TFMessage), `/formation/live` (JSON: the frame). A UAV that was not heard yet
-    is drawn at its start. PtnsbcError when foxglove-sdk is not installed, or the port is taken.
-    """
-
-    def __init__(self, scenario: Scenario, port: int) -> None:
-        sdk = ros.library("foxglove", "--foxglove", "foxglove")
-        with ros.required():
-            from ptnsbc_nodes.comm.drawing import Scene
-        self._scenario, self._scene = scenario, Scene(scenario, colours_of(scenario))
-        self._messages = {uav: AgentMessages(uav) for uav in scenario.uav_ids}
-        self._context = context = sdk.Context()  # its channels go with it
-
-        def channel(name: str, kind: str) -> Any:
-            schema = sdk.Schema(name=kind, encoding="ros2msg", data=definition(kind).text.encode())
-            return sdk.Channel(name, schema=schema, message_encoding="cdr", context=context)
-
-        self._markers = channel("/scene", topics.MARKERS.type)
-        self._transforms = channel(topics.TF.name, topics.TF.type)
-        self._numbers = sdk.Channel("/formation/live", message_encoding="json", context=context)
-        try:
-            self._server = sdk.start_server(
-                name=f"ptnsbc {scenario.name}", host=HOST, port=port, context=context
-            )
-        except (RuntimeError, OSError) as error:
-            raise PtnsbcError(
-                f"--foxglove {port}: {' '.join(str(error).split())}: expected a free port"
-            ) from None
-
-    def __enter__(self) -> FoxgloveSink:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.stop()
-
-    def __call__(self, frame: dict[str, Any]) -> None:
-        """Publish a frame."""
-        self._numbers.log(frame)
-        scenario, stamp_ns = self._scenario, time.time_ns()
-        poses = {uav["id"]: uav["pose"] for uav in frame["uavs"] if uav["pose"] is not None}
-        for uav, pose in poses.items():
-            odometry = np.array([*pose, *[0.0] * 6])
-            told = self._messages[uav].odometry(Stamped(stamp_ns, odometry))
-            self._transforms.log(transform_of(told) or b"")
-        places = [poses.get(uav.id, uav.position_m)[:3] for uav in scenario.uavs]
-        bodies = scenario.world.body_positions(max(float(frame.get("t") or 0.0), 0.0))
-        self._markers.log(self._scene.markers(stamp_ns, np.array(places), bodies))

@@ -1,4 +1,4 @@
-"""The process of a viewer: it looks at one fleet and feeds pages, a dashboard and Foxglove until it is told to end."""
+"""The process of a viewer: it looks at one fleet and feeds pages and a dashboard until it is told to end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_tools import console
 from ptnsbc_tools.library.reporting import report
 from ptnsbc_tools.live.dashboard import OVER, Sink
-from ptnsbc_tools.live.server import STOPS, Feed, FoxgloveSink, LiveServer, live_page
+from ptnsbc_tools.live.server import STOPS, Feed, LiveServer, live_page
 from ptnsbc_tools.plotting.charts import COLOURS, DARK_COLOURS
 from ptnsbc_tools.report.page import obstacles_of, uav_of
 
@@ -68,10 +68,9 @@ def watch(
     sink_of: Callable[[Scenario], Sink] | None = None,
     *,
     port: int | None = 0,
-    foxglove: int | None = None,
     next_word: Callable[[], str | None] = lambda: None,
 ) -> None:
-    """Look at a fleet until SIGINT or SIGTERM, on a page and for Foxglove, each on a port of its own if it has one.
+    """Look at a fleet until SIGINT or SIGTERM, on a page if it has a port.
 
     Without a `scenario` a UAV says what is flown; `sink_of` makes a further receiver of its frames. `next_word` of a
     launcher is OVER when the fleet has ended, and the last one ends the view: see `show_end`.
@@ -88,9 +87,6 @@ def watch(
             server = stack.enter_context(LiveServer(feed, live_page, port))
             say(f"live view: {server.address}")
         sinks = [feed.add, *([] if sink_of is None else [sink_of(scenario)])]
-        if foxglove is not None:
-            sinks.append(stack.enter_context(FoxgloveSink(scenario, foxglove)))
-            say(f"Foxglove: open a connection to ws://127.0.0.1:{foxglove}")
         shown, last = 0, None
         while not stop.came and last is None:
             observer.spin(1.0 / FRAMES_HZ)

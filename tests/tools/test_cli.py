@@ -75,24 +75,6 @@ def test_help_of_a_command() -> None:
     assert run("help", "dance")[0] == 2
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("record", "bag record"),
-        ("replay", "bag replay"),
-        ("params", "network params"),
-        ("key", "network key"),
-        ("node", "network node"),
-        ("security policy", "network policy"),
-    ],
-)
-def test_an_old_name_goes_on_working_with_a_word(old: str, new: str) -> None:
-    code, out, err = run(*old.split(), "--help")
-    assert (code, out) == run(*new.split(), "--help")[:2]
-    assert err.startswith(f"ptnsbc {old.split()[0]} is now ptnsbc {new.split()[0]}")
-    assert f"  {old}  " not in run("help", "all")[1]
-
-
 @pytest.mark.parametrize("name", [name for name, _ in functions() if name != "reproduce"])
 def test_every_command_has_help_by_both_names(name: str) -> None:
     short, long = (run(*name.split(), word) for word in ("-h", "--help"))

@@ -15,12 +15,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.live.server import (
     HOST,
     MOST_ROWS,
     Feed,
-    FoxgloveSink,
     LiveServer,
     order_in,
 )
@@ -205,36 +203,3 @@ def test_a_page_that_sends_nonsense_harms_no_other(server: LiveServer) -> None:
 def test_a_port_that_is_taken_is_named(server: LiveServer) -> None:
     with pytest.raises(PtnsbcError, match=f"--port {server.port}: .*: expected a free port"):
         LiveServer(Feed(), str, server.port)
-
-
-SCENARIO = load_scenario("paper_5")
-POSE = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
-
-
-def test_a_client_is_offered_the_scene_the_frames_and_the_numbers() -> None:
-    pytest.importorskip("foxglove", reason="needs foxglove-sdk (extra [foxglove])")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    uavs = [{"id": 1, "pose": POSE}, {"id": 2, "pose": None}]
-    with (
-        FoxgloveSink(SCENARIO, port) as sink,
-        connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as client,  # type: ignore[list-item]
-    ):
-        topics: set[str] = set()
-        while len(topics) < 3:
-            message = client.recv(timeout=30)
-            if isinstance(message, str) and json.loads(message)["op"] == "advertise":
-                topics |= {one["topic"] for one in json.loads(message)["channels"]}
-        assert topics == {"/scene", "/tf", "/formation/live"}
-        sink({"uavs": uavs})
-
-
-def test_a_port_for_foxglove_that_is_taken_is_named() -> None:
-    pytest.importorskip("foxglove", reason="needs foxglove-sdk (extra [foxglove])")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(PtnsbcError, match=f"--foxglove {port}"):
-            FoxgloveSink(SCENARIO, port)

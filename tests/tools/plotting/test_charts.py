@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import MarkerArray
 
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
-from ptnsbc_nodes.comm.drawing import Scene
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_nodes.uav.uav_controller import StepTime
-from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Recording, Track
-from ptnsbc_tools.live.server import colours_of
 from ptnsbc_tools.live.watch import stage
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import (
@@ -205,10 +200,6 @@ def test_names_are_keys(fly) -> None:
     assert all(chart is None or chart.key == name for name, chart in made.items())
 
 
-def hexadecimal(rgb: Any) -> str:
-    return "#" + bytes(int(one) for one in rgb).hex().upper()
-
-
 def in_charts(recording: Recording) -> list[dict[int, str]]:
     """Of every chart that has one curve for each UAV."""
     found = charts(view_of(recording, StatusSeries()))
@@ -223,20 +214,6 @@ def in_paths(recording: Recording) -> dict[int, str]:
     return {int(str(line.get_label()).split()[1]): str(line.get_color()) for line in named}
 
 
-def in_foxglove(scenario: Scenario) -> dict[int, str]:
-    places, bodies = np.zeros((len(scenario.uav_ids), 3)), scenario.world.body_positions(0.0)
-    drawn = Scene(scenario, colours_of(scenario)).markers(0, places, bodies)
-    colours = {
-        one.id: one.color
-        for one in deserialize_message(drawn, MarkerArray).markers
-        if one.ns == "uavs"
-    }
-    return {
-        uav: hexadecimal(np.rint([255 * colour.r, 255 * colour.g, 255 * colour.b]))
-        for uav, colour in colours.items()
-    }
-
-
 def test_a_uav_has_the_same_colour_everywhere(fly: Callable[..., Recording]) -> None:
     recording = fly(seconds=7.0)
     scenario = recording.scenario
@@ -246,7 +223,6 @@ def test_a_uav_has_the_same_colour_everywhere(fly: Callable[..., Recording]) -> 
     assert len(drawn) > 3 and all(one.items() <= wanted.items() for one in drawn)
     assert drawn[0] == wanted
     assert in_paths(recording) == wanted
-    assert in_foxglove(scenario) == wanted
     page = stage(scenario)
     assert page["colours"] == {"light": COLOURS, "dark": DARK_COLOURS}
     assert {one["id"]: COLOURS[one["colour"]] for one in page["space"]["uavs"]} == wanted
