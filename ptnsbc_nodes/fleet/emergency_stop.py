@@ -112,7 +112,10 @@ class _Bridge:
             return
         direct.look()
         if direct.armed is False or (direct.mode is FlightMode.LAND and order.what == LAND):
-            self.state = replace(state, armed=bool(direct.armed), heard=True)
+            since = time.strftime("%H:%M:%S", time.localtime(local.written_s))
+            place = f"a place unknown since {since}"
+            seen = replace(state, armed=bool(direct.armed), heard=True, mode=direct.mode_name)
+            self.state = replace(seen, place=place)  # of the record: older than what was seen
             if self.dead:
                 self.done_s = time.monotonic()
 
@@ -373,6 +376,7 @@ class DirectOrder:
         self.armed: bool | None = None
         """As the vehicle's HEARTBEAT said it; None before the first."""
         self.mode: FlightMode | None = None
+        self.mode_name = ""  # as the autopilot calls it
         self.heard_s = 0.0
         self.problem = ""  # why the vehicle cannot be reached
         requests = [CommandRequest.KILL if order.what == KILL else CommandRequest.LAND]
@@ -415,7 +419,8 @@ class DirectOrder:
             if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 self.armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 base, custom = heartbeat.base_mode, heartbeat.custom_mode
-                self.mode = FlightMode.named(self._autopilot.mode_name(base, custom))
+                self.mode_name = self._autopilot.mode_name(base, custom)
+                self.mode = FlightMode.named(self.mode_name)
                 self.heard_s = now_s
         if due and ordering:
             self.link.send(self._commands.message(next(self._requests), 0.0))

@@ -127,6 +127,22 @@ def test_a_landing_is_reported_as_what_it_is(bridge, give):
     assert "landing, armed at (1.0, 2.0, 3.0) m in LAND" in found["bridge1"].text
 
 
+def test_what_is_seen_past_a_silent_bridge_stands_beside_no_old_place(bridge, tmp_path):
+    far = Far()
+    bridge("bridge1", peer=f"127.0.0.1:{far.port}")  # no port: it does not answer
+    operation = EmergencyStop(tmp_path, KILL)
+    operation.begin()
+    while not select.select([far.socket], [], [], 0.0)[0]:
+        operation.look()
+    far.receive()
+    far.send(heartbeat())  # disarmed
+    while "disarmed" not in (text := operation.outcomes()[0].text):
+        operation.look()
+    assert "disarmed at a place unknown since" in text and "(1.0, 2.0, 3.0) m" not in text
+    operation.close()
+    far.close()
+
+
 def test_a_vehicle_in_a_pilots_hands_is_left_alone_and_named(bridge, give):
     bridge("bridge1", in_pilots_hands=True, mode="OTHER").open()
     done, found = give(KILL)
