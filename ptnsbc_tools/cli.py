@@ -17,6 +17,7 @@ from typer.main import get_command
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.environment import one_thread
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
+from ptnsbc_sim.plugins import NAMED, USER_CODE
 from ptnsbc_tools import console
 from ptnsbc_tools.options import flat, group
 
@@ -124,6 +125,7 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         code = 0
+        os.environ[USER_CODE] = NAMED
         try:
             return super().invoke(ctx)
         except typer.Exit as end:
@@ -142,6 +144,7 @@ class _Commands(TyperGroup):
             code = _REFUSED
             raise typer.Exit(_REFUSED) from None
         finally:
+            os.environ.pop(USER_CODE, None)
             keep_exit_code(code)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
@@ -14,6 +15,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.tasks.table import TaskName
+from ptnsbc_sim.plugins import REFUSED, USER_CODE
 from ptnsbc_tools.limits import FARTHEST_M, FINEST_M, LONGEST_S, SHORTEST_WINDOW_S, refuse_outside
 
 if TYPE_CHECKING:
@@ -97,6 +99,11 @@ def scenario_names(incomplete: str) -> list[str]:
     from ptnsbc_sim.scenario.reading.reader import available
 
     return [name for name in available() if name.startswith(incomplete)]
+
+
+def refuse_code() -> None:
+    """Let neither this command nor its processes run a file that a scenario names."""
+    os.environ[USER_CODE] = REFUSED
 
 
 def full_namespace(given: str) -> str:
@@ -203,6 +210,13 @@ class Choices:
         option("--avoidance", "How UAVs avoid obstacles and each other."),
     ] = None
     settings: SetOption = None
+    code: Annotated[
+        bool, option("--code/--no-code", "Run the Python files that the scenario names.")
+    ] = True
+
+    def __post_init__(self) -> None:
+        if not self.code:
+            refuse_code()
 
     def keys(self) -> dict[str, Any]:
         """Dotted keys of the scenario file and their values."""

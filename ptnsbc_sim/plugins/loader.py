@@ -1,7 +1,8 @@
 """The loader of plug-ins: a Python file is executed once, its function is compiled where numba can compile it.
 
-Only files that a scenario or the user names are executed, never what a bag names. Every error names the file of the
-user and the line in it. A function that cannot be compiled is interpreted, which is said in one line.
+Only files that a scenario or the user names are executed, never what a bag names. A command says which, before they
+run, or refuses to run any. Every error names the file of the user and the line in it. A function that cannot be
+compiled is interpreted, which is said in one line.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import hashlib
 import importlib.util
 import inspect
 import math
+import os
 import re
 import sys
 import traceback
@@ -23,9 +25,11 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.kernel import COMPILED, compiler
+from ptnsbc_sim.plugins import NAMED, REFUSED, USER_CODE
 from ptnsbc_sim.plugins.hooks import HOOKS, Hook
 
 _LONGEST_VALUE = 120
+_named: set[Path] = set()
 
 
 class PluginError(PtnsbcError):
@@ -41,8 +45,13 @@ def function_in(file: Path, name: str, what: str) -> FunctionType:
         what: what it is, for messages: "a law".
 
     Raises:
-        PluginError: there is no such file or function, or the file raises an error.
+        PluginError: there is no such file or function, the file raises an error, or no code may run.
     """
+    if os.environ.get(USER_CODE) == REFUSED:
+        raise PluginError(f"{file}: the code of {what}, which this command does not run")
+    if os.environ.get(USER_CODE) == NAMED and file not in _named:
+        _named.add(file)
+        print(f"runs the code of {file}", file=sys.stderr, flush=True)
     try:
         text = file.read_bytes()
     except OSError as error:

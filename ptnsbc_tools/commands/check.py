@@ -20,6 +20,7 @@ from ptnsbc_tools.options import (
     VerboseOption,
     argument,
     option,
+    refuse_code,
     scenario_with,
 )
 
@@ -37,7 +38,11 @@ def check(
         option("--backend", "Check what the fleet flies with this backend."),
     ] = "sim",
     fly: Annotated[
-        bool, option("--fly/--no-fly", "Fly dry runs when the rest finds no error.")
+        bool,
+        option(
+            "--fly/--no-fly",
+            "Fly dry runs when the rest finds no error; else no code of the scenario runs.",
+        ),
     ] = True,
     verbose: VerboseOption = False,
     runs: Annotated[
@@ -58,6 +63,8 @@ def check(
     from ptnsbc_tools.library import flying
     from ptnsbc_tools.plotting.draw import format_of
 
+    if not fly:
+        refuse_code()
     chosen = choices.of(scenario)
     if picture is not None:
         format_of(picture)  # refused before the flights, not after them
@@ -109,6 +116,7 @@ def doctor(
     from ptnsbc_tools.doctor import examine
     from ptnsbc_tools.tables import findings_table
 
+    refuse_code()
     findings = examine(None if scenario is None else scenario_with(scenario, {}))
     if json:
         console.print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shutil import copy
 
 import pytest
 from typer.testing import CliRunner
 
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 
 
 def run(*words: object) -> tuple[int, str, str]:
@@ -55,3 +58,17 @@ def test_the_plan_is_drawn_before_the_flight(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
     code, _, err = run(*words, "--picture", tmp_path / "plan.xyz")
     assert code == 2 and "expected .png, .svg or .pdf" in err
+
+
+def test_the_file_of_a_stranger_is_named_before_it_runs_or_does_not_run(tmp_path: Path) -> None:
+    for name in ("spiral.yaml", "spiral.py"):
+        copy(EXAMPLES / "functions" / name, tmp_path)
+    ran, file = tmp_path / "ran", tmp_path / "spiral.py"
+    file.write_text(f"open({str(ran)!r}, 'a').write('x')\n{file.read_text()}")
+    for words in (("check", "--no-fly"), ("check", "--no-code"), ("doctor",)):
+        code, _, err = run(*words, tmp_path / "spiral.yaml")
+        assert code == 2
+        assert f"{file}: the code of a trajectory, which this command does not run" in err
+    assert not ran.exists()
+    assert f"runs the code of {file}" in run("check", tmp_path / "spiral.yaml", "--runs", 0)[2]
+    assert ran.exists()
