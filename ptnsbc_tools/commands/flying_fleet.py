@@ -7,7 +7,6 @@ import os
 import re
 import select
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -438,11 +437,10 @@ def _wait_for_key(operation: EmergencyStop, *, kill: bool) -> None:
     what = "STOP ALL MOTORS" if kill else "LAND ALL"
     known: dict[str, str] | None = None
     with _single_keys() as descriptor:
-        while not select.select([descriptor], [], [], 0.0)[0]:
-            if operation.remote is None:
-                time.sleep(_LOOK_S)
-            else:
-                operation.remote.spin(_LOOK_S)
+        remote = operation.remote
+        while not select.select([descriptor], [], [], _LOOK_S if remote is None else 0.0)[0]:
+            if remote is not None:
+                remote.spin(_LOOK_S)
             ways = operation.rehearse()
             if ways not in (known, None):
                 known = ways or {}

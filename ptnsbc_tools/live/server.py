@@ -167,7 +167,7 @@ class _Listener(socket.socket):
             except OSError:
                 if self.fileno() == -1:
                     raise
-                time.sleep(_SETTLE_S)
+                time.sleep(_SETTLE_S)  # no event says that a descriptor is free again
                 continue
             self._taken = [each for each in self._taken if each.fileno() != -1]
             if len(self._taken) < _MOST_CONNECTIONS:

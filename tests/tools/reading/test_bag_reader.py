@@ -241,19 +241,6 @@ WALL_NS = 1_700_000_000_000_000_000
 DRONES = {"odom": "/drone{n}/odom", "wrench": "/drone{n}/nothing"}
 
 
-@pytest.fixture
-def flown(fly):
-    """UAV 3 is 20 cm beside its place until 4 s after the epoch."""
-    return fly({3: lambda t: np.where(t < 4.0, 0.2, 0.0)})
-
-
-@pytest.fixture
-def scenario_file(flown, tmp_path) -> Path:
-    path = tmp_path / "scenario.yaml"
-    path.write_text(flown.scenario.text)
-    return path
-
-
 def messages(flown, *, stamped: bool = True):
     for uav, series in flown.odometry.items():
         template = OdometryTemplate("map", f"drone{uav}")

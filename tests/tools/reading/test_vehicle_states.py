@@ -110,19 +110,6 @@ def of_ned(t_ns, uav, values):
     )
 
 
-@pytest.fixture
-def flown(fly):
-    """UAV 3 is 20 cm beside its place until 4 s after the epoch."""
-    return fly({3: lambda t: np.where(t < 4.0, 0.2, 0.0)})
-
-
-@pytest.fixture
-def scenario_file(flown, tmp_path) -> Path:
-    path = tmp_path / "scenario.yaml"
-    path.write_text(flown.scenario.text)
-    return path
-
-
 def record(path: Path, flown, message, name, *, origins=None, booted_ns=0) -> Path:
     """`name`: the topic of a UAV; `origins`: where its own frame has its zero."""
     writer = rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
