@@ -58,7 +58,8 @@ def main() -> int:
     """The exit code: 0 where no test of either half failed."""
     kind, jobs, *words = sys.argv[1:]
     # A file belongs to one worker: what its tests share is made once, and no other worker loads its laws.
-    by_file = ("--dist", "loadfile", "--no-loadscope-reorder")
+    by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
+    by_file += ["--max-worker-restart", "2"]  # the next one tries what ended a worker again: not for ever
     workers = () if jobs == "1" else ("-n", jobs, *by_file)
     if words:
         halves = [run_half("in parallel", *workers, "-m", "not alone", *words)]
