@@ -59,7 +59,8 @@ def main() -> int:
     kind, jobs, *words = sys.argv[1:]
     # A file belongs to one worker: what its tests share is made once, and no other worker loads its laws.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
-    by_file += ["--max-worker-restart", "2"]  # the next one tries what ended a worker again: not for ever
+    # What has ended a worker is tried again by the next one: not for ever.
+    by_file += ["--max-worker-restart", "2"]
     workers = () if jobs == "1" else ("-n", jobs, *by_file)
     if words:
         halves = [run_half("in parallel", *workers, "-m", "not alone", *words)]
