@@ -58,7 +58,7 @@ _LITTLE = LITTLE_ENDIAN_HEADER[:2]
 _START = {order: struct.Struct(f"{order}iII") for order in "<>"}  # stamp, length of frame_id
 _LENGTH = {order: struct.Struct(f"{order}I") for order in "<>"}
 _FLOAT64 = {order: np.dtype(f"{order}f8") for order in "<>"}
-_FLOAT, _FLOAT32 = np.dtype(np.float64), np.dtype("<f4")
+_FLOAT = np.dtype(np.float64)
 _FRAME_AT = 12  # after the encapsulation header and the stamp
 
 # Bytes of the parts of a twist or wrench, and of an Odometry behind its frames
@@ -431,20 +431,28 @@ def checked_near(buf: bytes) -> Stamped:
 
 NEAR_FIELDS = ("x", "y", "z", "radius", "vx", "vy", "vz")
 REQUIRED_FIELDS = NEAR_FIELDS[:4]
+EXACT_FIELDS = {f"exact_{axis}": axis for axis in "xyz"}
+"""FLOAT64 beside an x y z in FLOAT32, which viewers read and which is coarse far from the origin of the frame."""
 
 _POINT_FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
-_STEP = 4 * len(NEAR_FIELDS)
+_STEP = 9 * 8  # seven numbers, then x y z for viewers
 _LARGEST_STEP = 1 << 16  # bytes of a point
+
+
+def _our_fields() -> tuple[tuple[str, int, int, int], ...]:
+    """Name, offset, datatype and count of the fields of our points."""
+    exact = [(name, 8 * i, 8, 1) for i, name in enumerate((*EXACT_FIELDS, *NEAR_FIELDS[3:]))]
+    return (*((axis, 56 + 4 * i, 7, 1) for i, axis in enumerate("xyz")), *exact)
 
 
 def _our_table() -> bytes:
     """Our field table, from the number of fields to point_step; it starts aligned to 4."""
-    table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(NEAR_FIELDS)))
-    for i, name in enumerate(NEAR_FIELDS):
+    table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(_our_fields())))
+    for name, *field in _our_fields():
         pad(table, 4)
         table += encode_string(name)
         pad(table, 4)
-        table += struct.pack("<IBxxxI", 4 * i, 7, 1)
+        table += struct.pack("<IBxxxI", *field)
     table += b"\0"  # is_bigendian
     pad(table, 4)
     return bytes(table[len(LITTLE_ENDIAN_HEADER) :]) + struct.pack("<I", _STEP)
@@ -454,10 +462,13 @@ _OUR_TABLE = _our_table()
 
 
 def encode_near(stamp_ns: int, frame_id: str, rows: Floats) -> bytes:
-    """PointCloud2 of `rows` (M, 7): x y z radius [m], vx vy vz [m/s]; rounded to float32."""
+    """PointCloud2 of `rows` (M, 7): x y z radius [m], vx vy vz [m/s]."""
     if rows.ndim != 2 or rows.shape[1] != len(NEAR_FIELDS):
         raise WireError(f"{_NEAR}: rows of shape {rows.shape}: expected (M, 7)")
-    points = rows.astype("<f4").tobytes()
+    numbers = np.zeros((len(rows), _STEP // 8))
+    numbers[:, : len(NEAR_FIELDS)] = rows
+    numbers.view("<f4")[:, 14:17] = rows[:, :3]
+    points = numbers.tobytes()
     buffer = bytearray(LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + aligned_string(frame_id))
     buffer += struct.pack("<II", 1, len(rows)) + _OUR_TABLE  # height, width
     buffer += struct.pack("<II", len(points), len(points)) + points  # row_step, length of data
@@ -468,9 +479,9 @@ def decode_near(buf: bytes) -> Stamped:
     """Stamp [ns] and rows (M, 7) x y z radius [m], vx vy vz [m/s] of a PointCloud2.
 
     FLOAT32 and FLOAT64 fields in any order are understood and others ignored; clouds may be
-    organised (height > 1) or padded. A sender without vx vy vz gives velocity 0, and so does a
-    velocity that is not finite. A point whose x y z or radius is not finite is left out: a sensor
-    marks "no return" that way.
+    organised (height > 1) or padded. `EXACT_FIELDS` take precedence, which a sender need not have. One
+    without vx vy vz gives velocity 0, and so does a velocity that is not finite. A point whose x y z or
+    radius is not finite is left out: a sensor marks "no return" that way.
     """
     reader = Reader(buf, _NEAR)
     stamp_ns = reader.stamp()
@@ -502,8 +513,8 @@ def decode_near(buf: bytes) -> Stamped:
             )
     with np.errstate(invalid="ignore"):  # of a signalling NaN, which is left out like any other
         if kind is _OUR_TYPE and height == 1:  # at a third of the cost of its columns
-            numbers = np.frombuffer(buf, _FLOAT32, width * len(NEAR_FIELDS), data_at)
-            rows = numbers.reshape(width, len(NEAR_FIELDS)).astype(_FLOAT)
+            columns, steps = len(NEAR_FIELDS), (_STEP, 8)
+            rows = np.ndarray((width, columns), "<f8", buf, data_at, steps).astype(_FLOAT)
         else:
             shape, steps = (height, width), (row_step, kind.itemsize)
             points = np.ndarray(shape, kind, buf, data_at, steps).reshape(-1)
@@ -528,6 +539,7 @@ def _point_type(
     if point_step > _LARGEST_STEP:
         raise WireError(f"{_NEAR}: point_step={point_step}: expected {_LARGEST_STEP} at most")
     known = {name: field for name, *field in fields if name in NEAR_FIELDS}
+    known |= {EXACT_FIELDS[name]: field for name, *field in fields if name in EXACT_FIELDS}
     missing = [name for name in REQUIRED_FIELDS if name not in known]
     if missing:
         names = ", ".join(name for name, *_ in fields) or "none"
@@ -550,4 +562,4 @@ def _point_type(
     )
 
 
-_OUR_TYPE = np.dtype([(name, "<f4") for name in NEAR_FIELDS])
+_OUR_TYPE = _point_type(_our_fields(), "<", _STEP)

@@ -102,7 +102,7 @@ def swarm_of(
         vehicles = (VehicleDisturbances(scenario, uav_id, np.zeros(3)) for uav_id in ids)
         pairs = zip(vehicles, seen, strict=True)
         seen = np.stack([around.measured_odometry(0, truth) for around, truth in pairs])
-    size, objects = len(ids), len(ids) + wiring.obstacles.shape[1]
+    size, others = len(ids), len(ids) - 1 + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(
         wiring,
@@ -111,8 +111,7 @@ def swarm_of(
         plants,
         kernel_list([initial_state(own, configs[row]) for row, own in enumerate(seen)]),
         bodies,
-        np.zeros((objects, NEAR_COLUMNS)),
-        np.zeros((size, objects - 1, NEAR_COLUMNS)),
+        np.zeros((size, others, NEAR_COLUMNS)),
         np.zeros(size, dtype=np.int64),
         np.zeros((*received, ODOMETRY_SIZE)),
         np.zeros(received),

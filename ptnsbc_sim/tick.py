@@ -34,7 +34,7 @@ from ptnsbc_sim.disturbances.faults import add_jumps
 from ptnsbc_sim.disturbances.noise import add_sensor_noise, gust_step, measured_odometry
 from ptnsbc_sim.plants.contract import PlantConfig, Waves
 from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
-from ptnsbc_sim.sensor import store_near, store_objects
+from ptnsbc_sim.sensor import store_near
 from ptnsbc_sim.track import FlightTrack, note, note_silence
 from ptnsbc_sim.wiring import Wiring, obstacles_at
 
@@ -51,7 +51,6 @@ class SwarmState(NamedTuple):
     plants: MutableSequence[PlantConfig]
     states: MutableSequence[AgentState]
     bodies: Array  # (N, 17) plant states
-    objects: Array  # (N + O, 7) what the sensors tell of all UAVs and obstacles
     near: Array  # (N, N - 1 + O, 7) last reading of the near-object sensor
     near_count: NDArray[np.int64]  # (N,) rows of it that are used
     estimates: Array  # (N, K, 13) received leader estimates
@@ -176,12 +175,9 @@ def sense(swarm: SwarmState, tick: int, disturbances: Disturbances | None) -> No
     if tick % wiring.near_every > 0:
         return
     obstacles = obstacles_at(wiring, tick)
-    store_objects(true[tick], obstacles, swarm.objects)
     for row in range(size):
         near, keep_outs = swarm.near[row], wiring.keep_outs
-        count = store_near(
-            row, true[tick], obstacles, swarm.objects, keep_outs, wiring.range_m, near
-        )
+        count = store_near(row, true[tick], obstacles, keep_outs, wiring.range_m, near)
         swarm.near_count[row] = count
         if disturbances is not None:
             samples = disturbances.sensor_samples[tick // wiring.near_every, row]

@@ -202,7 +202,7 @@ def add_sensor_noise(
     """Near objects (M, 7) as a UAV measures them.
 
     The sensor measures relative position and velocity. Converted to the world frame they contain the errors of
-    the UAV's own position and velocity. Rounded to float32 like all data of the sensor.
+    the UAV's own position and velocity.
 
     Args:
         near: (M, 7) the true near objects.
@@ -216,10 +216,9 @@ def add_sensor_noise(
     for row in range(out.shape[0]):
         for i in range(3):
             noise = kind.noise_m * samples[6 * row + i]
-            out[row, i] = np.float32(out[row, i] + (measured[i] - truth[i]) + noise)
+            out[row, i] += (measured[i] - truth[i]) + noise
             noise = kind.velocity_noise_m_s * samples[6 * row + 3 + i]
-            velocity = out[row, 4 + i] + (measured_velocity[i] - true_velocity[i]) + noise
-            out[row, 4 + i] = np.float32(velocity)
+            out[row, 4 + i] += (measured_velocity[i] - true_velocity[i]) + noise
     return out
 
 

@@ -115,8 +115,7 @@ class WorldPlugins:
     ) -> Array:
         """Rows (K, 7) that the sensor of UAV number `row` gives, ours or the one that is plugged in.
 
-        They are rounded to float32, and with `seen`, the odometry (13,) that the UAV measures, they have the errors of
-        sensor and position.
+        With `seen`, the odometry (13,) that the UAV measures, they have the errors of sensor and position.
 
         `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N,) are as in `near_objects`.
         """
@@ -139,7 +138,7 @@ class WorldPlugins:
         range_m = float(scenario.sensor.range_m)
         seen = sensor.result(SensorInputs(t, uav, np.array(truth), objects, range_m, samples))
         try:
-            rows = np.asarray(seen, dtype=np.float32).astype(np.float64)
+            rows = np.asarray(seen, dtype=np.float64)
         except (TypeError, ValueError):
             rows = np.zeros(0)
         if rows.size == 0 and len(np.shape(seen)) >= 1:

@@ -8,8 +8,6 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ptnsbc_io import wire
-
 STAMPS = st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1)
 FRAMES = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 NUMBERS = st.floats(width=64, allow_nan=False)
@@ -67,20 +65,23 @@ def ros_six(kind, stamp_ns, frame_id, v):
     return message
 
 
-def ros_cloud(stamp_ns, frame_id, rows):
+def ros_cloud(stamp_ns, frame_id, points):
+    """A cloud of structured points, as their dtype lays them out."""
     from sensor_msgs.msg import PointCloud2, PointField
 
+    kinds = {"<f4": PointField.FLOAT32, "<f8": PointField.FLOAT64}
+    size = points.dtype.itemsize
     return PointCloud2(
         header=ros_header(stamp_ns, frame_id),
         height=1,
-        width=len(rows),
+        width=len(points),
         fields=[
-            PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-            for i, name in enumerate(wire.NEAR_FIELDS)
+            PointField(name=name, offset=offset, datatype=kinds[kind.str], count=1)
+            for name, (kind, offset) in points.dtype.fields.items()
         ],
-        point_step=28,
-        row_step=28 * len(rows),
-        data=rows.astype("<f4").tobytes(),
+        point_step=size,
+        row_step=size * len(points),
+        data=points.tobytes(),
         is_dense=True,
     )
 
