@@ -18,7 +18,7 @@ from ptnsbc_nodes.bridge.procedure.steps import (
 from ptnsbc_nodes.comm.diagnostics import SafetyState
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.pacing import LIMIT_S
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, SLOW_ENDED_S
 from ptnsbc_nodes.uav.uav_node import ABANDONED_S
 from ptnsbc_sim.counters import STATUS_HZ
 
@@ -195,7 +195,7 @@ ANSWERS = (
         "the sim, by the missing wrench",
         f"{SAID_S:g} s",
         _HOLD,
-        f"named; ended by the launcher after {ENDED_S:g} s, then as above",
+        f"named; ended by the launcher after {ENDED_S:g} s, after {SLOW_ENDED_S:g} s also with signs of life",
         f"if it goes on within {ENDED_S:g} s",
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
     ),
@@ -205,8 +205,8 @@ ANSWERS = (
         "the sim, by what it acknowledges",
         f"{SAID_S:g} s",
         _NOMINAL,
-        f"the sim pauses; the launcher ends the recorder after {RECORDER_ENDED_S:g} s, since a disk may be slow",
-        f"if it goes on within {RECORDER_ENDED_S:g} s",
+        f"the sim pauses; the launcher ends the recorder after {SLOW_ENDED_S:g} s, since a disk may be slow",
+        f"if it goes on within {SLOW_ENDED_S:g} s",
         ("tests/nodes/fleet/test_supervisor.py::test_a_process_that_is_stuck_is_ended",),
     ),
     FaultAnswer(

@@ -40,7 +40,6 @@ from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 
 _REQUEST_S = 1.0
 _LOOK_S = 0.1
-_SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
 
 _CONFIGURE, _ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
@@ -141,13 +140,8 @@ class FleetStatus:
         return {name: what for name, what in waiting.items() if what}
 
     def stuck(self) -> dict[str, float]:
-        """Processes that have kept a lock-step flight waiting and give no sign of life, and for how long [s]."""
-        now_s = time.monotonic()
-        return {
-            name: waited_s
-            for name, waited_s in self._wait.at(now_s).items()
-            if self.last_s.get(name, 0.0) < now_s - _SIGN_OF_LIFE_S
-        }
+        """Processes for which a lock-step flight waits in vain, and for how long [s]."""
+        return self._wait.stuck(time.monotonic(), self.last_s)
 
     def _on_status(self, array: Diagnostics) -> None:
         now_s = time.monotonic()

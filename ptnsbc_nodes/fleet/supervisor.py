@@ -26,7 +26,7 @@ from ptnsbc_nodes.fleet.emergency_stop import land_left_behind, order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.takeoff import Launch, Report
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SIM_ENDED_S, SLOW_ENDED_S
 
 _LOOK_S = 0.05
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
@@ -106,7 +106,7 @@ class Supervisor:
             return
         stuck = self._node.status.stuck()
         for child in self._crew.children:
-            limit_s = RECORDER_ENDED_S if child.name == RECORDER else ENDED_S
+            limit_s = SLOW_ENDED_S if child.name == RECORDER else ENDED_S
             ends = child.name == RECORDER or bool(child.command.uavs)
             stuck_s = max(stuck.get(name, 0.0) for name in child.command.reporters)
             if ends and stuck_s >= limit_s and child.exit_code is None:

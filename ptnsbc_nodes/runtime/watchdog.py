@@ -2,8 +2,8 @@
 
 The rule: when no UAV has answered the sim for `SAID_S`, the sim prints the processes that it waits for, and
 tells the launcher. A UAV that only waits for others still sends its status, so it is alive. The launcher ends
-a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A recorder has
-`RECORDER_ENDED_S`, because a disk may be slow; then the flight goes on without it.
+a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A UAV that sends
+its status has `SLOW_ENDED_S`, and so has a recorder, because a disk may be slow.
 
 The sim gives a sign of life every two seconds, and five times a second while it waits. The launcher ends one
 that has given none for `SIM_ENDED_S`, in real time too.
@@ -12,18 +12,19 @@ that has given none for `SIM_ENDED_S`, in real time too.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 from ptnsbc_sim.counters import STATUS_HZ
 
 SAID_S = 3.0
 ENDED_S = 10.0
-RECORDER_ENDED_S = 60.0
+SLOW_ENDED_S = 60.0
 SIM_ENDED_S = 30.0
 WAITED = "waited_s"
 """Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
 _REPORT_GAP_S = 1.0  # the sim reports five times a second
+_SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 
 
 class LockstepWatchdog:
@@ -63,8 +64,17 @@ class LockstepWait:
         self._since_s = {name: before.get(name, now_s - SAID_S) for name in names}
         self._newest_s = now_s
 
-    def at(self, now_s: float) -> dict[str, float]:
-        """Time [s] for which each process has been waited for; empty when the reports have ceased."""
+    def stuck(self, now_s: float, last_s: Mapping[str, float]) -> dict[str, float]:
+        """Processes that are waited for and give no sign of life, or have not answered for `SLOW_ENDED_S`.
+
+        `last_s`: by process the time of its last status. Returns for how long each has been waited for [s]; nothing
+        when the reports have ceased.
+        """
         if now_s - self._newest_s >= _REPORT_GAP_S:
             return {}
-        return {name: now_s - since_s for name, since_s in self._since_s.items()}
+        waited = {name: now_s - since_s for name, since_s in self._since_s.items()}
+        return {
+            name: waited_s
+            for name, waited_s in waited.items()
+            if waited_s >= SLOW_ENDED_S or last_s.get(name, 0.0) < now_s - _SIGN_OF_LIFE_S
+        }

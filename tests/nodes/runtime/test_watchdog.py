@@ -5,7 +5,13 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_io.wire import decode_diagnostics
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWait, LockstepWatchdog
+from ptnsbc_nodes.runtime.watchdog import (
+    ENDED_S,
+    SAID_S,
+    SLOW_ENDED_S,
+    LockstepWait,
+    LockstepWatchdog,
+)
 from ptnsbc_sim.counters import STATUS_HZ
 
 pytestmark = pytest.mark.ros
@@ -50,9 +56,19 @@ def test_a_wait_lasts_as_long_as_the_sim_goes_on_reporting_it():
     wait = LockstepWait()
     for tenths in range(70):
         wait.reported(tenths / 10, ["uav3", *(["uav4"] if tenths > 30 else [])])
-    waited = wait.at(7.0)
+    waited = wait.stuck(7.0, {})
     assert waited["uav3"] == pytest.approx(7.0 + SAID_S)
     assert waited["uav4"] == pytest.approx(3.9 + SAID_S)
-    assert wait.at(8.0) == {}  # the reports have ceased
+    assert wait.stuck(8.0, {}) == {}  # the reports have ceased
     wait.reported(8.0, ["uav3"])
-    assert wait.at(8.0) == {"uav3": SAID_S}
+    assert wait.stuck(8.0, {}) == {"uav3": SAID_S}
+
+
+def test_who_gives_signs_of_life_and_never_answers_is_stuck_in_the_end():
+    """A message that got lost for good: its UAV said that it waited, and the flight hung."""
+    wait = LockstepWait()
+    for tenths in range(10 * round(SLOW_ENDED_S)):
+        now_s = tenths / 10
+        wait.reported(now_s, ["uav3"])
+        stuck = wait.stuck(now_s, {"uav3": now_s})
+        assert bool(stuck) == (now_s + SAID_S >= SLOW_ENDED_S)
