@@ -8,7 +8,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,12 +59,18 @@ class FleetResult:
     processes: Sequence[ChildProcess]
     died: tuple[str, ...]  # processes that ended before their time
     killed: tuple[str, ...]  # processes of UAVs that ended by a fault of the scenario
-    interrupted: bool  # by SIGINT or SIGTERM
+    interrupted: bool  # by a signal
     bag: Path | None
     # The recorder's summary; empty when it was killed before it had one.
     recorded: Mapping[str, Any]
     startup_s: float  # wall time
     flight_s: float  # wall time
+
+    @property
+    def losses(self) -> str:
+        """The processes that have ended before their time, in words; empty when none has."""
+        again = {child.name for child in self.processes if child.life > 1}
+        return ", ".join(f"{name} (replaced)" if name in again else name for name in self.died)
 
     @property
     def exit_code(self) -> int:
@@ -73,9 +79,9 @@ class FleetResult:
 
 
 def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> FleetResult:
-    """Fly; `progress` gets a line now and then.
+    """Fly; `progress` gets a line now and then, and so does `fleet.log` among the logs.
 
-    SIGINT and SIGTERM end the flight in order, the recorder last. Call it from the main thread: the
+    SIGINT, SIGTERM and SIGHUP end the flight in order, the recorder last. Call it from the main thread: the
     processes end with the thread that started them.
 
     Raises:
@@ -92,13 +98,20 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     with replacing(scenario_file, folder=True) as part:
         part.write_text(options.scenario.text, encoding="utf-8")
     processes = commands(options, scenario_file)
+
+    def say(line: str) -> None:
+        # Also where a terminal that is closed cannot take it away.
+        with suppress(OSError), (log_dir / "fleet.log").open("a", encoding="utf-8") as log:
+            print(line, file=log)
+        progress(line)
+
     # With this launcher. Where other computers fly the rest, there is a launcher for each process at most.
     everywhere = 2 * len(names(options.scenario, options.backend))
     count = everywhere if options.shared else len(processes) + 1
     with StopRequest() as stop, reserved_domain() as domain, ExitStack() as stack:
         settings = environment.for_children(domain, count, log_dir)
-        progress(f"domain {domain}, logs in {log_dir}")
-        stack.enter_context(_listed(options, domain, progress))
+        say(f"domain {domain}, logs in {log_dir}")
+        stack.enter_context(_listed(options, domain, say))
         if options.beside is not None:
             of_operator = {ENCLAVE: f"{options.namespace}/{OPERATOR}"} if secured else {}
             stack.enter_context(options.beside({**settings, **of_operator}, scenario_file))
@@ -115,7 +128,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             )
         )
         crew = Crew(settings, log_dir, node.lifecycle)
-        return _fly(Launch(options, crew, node, stop, progress), processes)
+        return _fly(Launch(options, crew, node, stop, say), processes)
 
 
 def prepare(options: FleetOptions) -> None:

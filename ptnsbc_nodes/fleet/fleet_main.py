@@ -14,7 +14,7 @@ _INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fly until the scenario's duration is over, SIGINT or SIGTERM."""
+    """Fly until the scenario's duration is over, or a signal comes."""
     exit_on_signal(_INTERRUPTED)
     from ptnsbc_nodes.runtime.node_process import Arguments, run
 
@@ -46,8 +46,8 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     options = FleetOptions(scenario, **{name: getattr(arguments, name) for name in names})
     result = run_fleet(options, _say)
     end = "interrupted" if result.interrupted else "landed"
-    gone = (*result.died, *result.killed)
-    lost = f", lost {', '.join(gone)}" if gone else ""
+    gone = ", ".join(filter(None, (result.losses, *result.killed)))
+    lost = f", ended early or with a fault: {gone}" if gone else ""
     recorded = result.recorded
     kept = f", {recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
     kept += "".join(f", {recorded[what]} {what}" for what in ("late", "lost") if recorded.get(what))

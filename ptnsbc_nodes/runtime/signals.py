@@ -1,4 +1,6 @@
-"""SIGINT and SIGTERM: an exit at once while a process starts, a question to ask once it has work to put in order.
+"""Signals to end: an exit at once while a process starts, a question to ask once it has work to put in order.
+
+They are SIGINT, SIGTERM, and SIGHUP of a terminal that is closed; who ignores that one, as nohup has it, goes on.
 
 This module imports little, and only of the standard library, so that a process has its handlers before all else.
 """
@@ -9,20 +11,21 @@ import atexit
 import os
 import select
 import signal
+import stat
 import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _Handler = Callable[[int, FrameType | None], object]
 _Setting = _Handler | int | signal.Handlers | None
 _replaced: dict[signal.Signals, _Setting] = {}  # handlers from before `exit_on_signal`
 
 
 def exit_on_signal(exit_code: int = 0, message: str = "") -> None:
-    """From now on SIGINT and SIGTERM end this process at once: the first statement of every `main`.
+    """From now on these signals end this process at once: the first statement of every `main`.
 
     A process that starts has nothing to put in order yet, and an exception in the middle of an import
     may be lost. A `StopRequest` takes over when there is something to put in order.
@@ -111,10 +114,31 @@ class StopRequest:
             os.write(self._writer, b"!")
 
 
+def _without_terminal(handler: _Handler) -> _Handler:
+    """The handler of SIGHUP: once, because the kernel and a shell may both send it, and that is no second request.
+
+    Writing to the terminal that is gone would be an error: what is still to be said goes nowhere.
+    """
+
+    def hang_up(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        for stream in (1, 2):
+            if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, stream)
+                os.close(nowhere)
+        handler(number, frame)
+
+    return hang_up
+
+
 def install_handler(handler: _Handler) -> dict[signal.Signals, _Setting]:
     """Set the handler and unblock the signals, which the launcher blocks at the start; returns the old handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = {number: signal.signal(number, handler) for number in _SIGNALS}
+    before = {number: signal.signal(number, handler) for number in _SIGNALS[:2]}
+    if (hung_up := signal.getsignal(signal.SIGHUP)) is not signal.SIG_IGN:
+        before[signal.SIGHUP] = hung_up
+        signal.signal(signal.SIGHUP, _without_terminal(handler))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     return before

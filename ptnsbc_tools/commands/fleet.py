@@ -278,7 +278,7 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
 def _losses(flown: FleetResult, *, leads: bool) -> Iterator[str]:
     """The defects of the flight, and of its recording on the host that leads, one line each."""
     if flown.died:
-        yield f"{', '.join(flown.died)}: ended early, or with a fault"
+        yield f"{flown.losses}: ended early, or with a fault"
     for name in flown.killed:
         yield f"{name} was killed, as the scenario has it"
     if not leads:

@@ -190,7 +190,7 @@ def fly_fleet(
             FleetOptions(scenario, lockstep=lockstep, bag=folder, overwrite=overwrite)
         )
         if flown.died or flown.interrupted:
-            why = f"{', '.join(flown.died)} ended" if flown.died else "interrupted"
+            why = f"{flown.losses} ended" if flown.died else "interrupted"
             raise FlightFailedError(
                 f"{scenario.name}: {why} after {flown.flight_s:.1f} s of flight"
             )

@@ -125,7 +125,7 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         assert fleet.finish() == 1  # two processes died
         assert fleet.lines[-2].startswith("fleet: after the flight: bridge1 disarmed")
         assert fleet.lines[-2].endswith(": all disarmed")
-        assert "lost bridge4, uav3, bridge3" in fleet.lines[-1]
+        assert "with a fault: bridge4 (replaced), uav3, bridge3" in fleet.lines[-1]
         states = json.loads(send_fault(control, "all state"))
         assert [(each["armed"], each["contact"]) for each in states] == [(False, True)] * 3
     assert min(distances_m) > 0.5

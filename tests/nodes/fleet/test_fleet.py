@@ -228,7 +228,7 @@ def test_the_end_of_a_process_is_the_end_of_its_uavs(launch, tmp_path):
     os.kill(flight.pid_of("--uav 3 4 5"), signal.SIGKILL)
     flight.wait_for("uav3-5 (pid ", "signal SIGKILL")
     assert flight.finish() == 1
-    assert "lost uav3-5" in flight.lines[-1]
+    assert "with a fault: uav3-5" in flight.lines[-1]
     assert not flight.running()
     told = counts(read_bag(tmp_path / "bag"))
     assert told["/uav1/setpoint/wrench"] == told["/clock"] == 1200
@@ -252,7 +252,7 @@ def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
     os.kill(flight.pid_of("sim.sim_main"), signal.SIGKILL)
     flight.wait_for("sim (pid ", "signal SIGKILL")
     assert flight.finish() == 1
-    assert "lost uav3, uav2, sim" in flight.lines[-1]
+    assert "with a fault: uav3, uav2, sim" in flight.lines[-1]
     assert not flight.running()
     bag = read_bag(tmp_path / "bag")
     told = counts(bag)
@@ -283,7 +283,7 @@ def test_a_law_that_raises_in_flight_is_named_by_file_and_line_and_its_vehicle_h
     flight = launch(*words)
     assert flight.finish() == 1
     assert f"{tmp_path}/mine.py:4: law: ValueError: no way out" in "\n".join(flight.lines)
-    assert "lost uav3" in flight.lines[-1]  # the only UAV whose place is on the left
+    assert "with a fault: uav3" in flight.lines[-1]  # the only UAV whose place is on the left
     assert not flight.running()
     flown = read_bag(bag)
     told = counts(flown)
@@ -302,7 +302,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
     os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
     assert flight.finish() == 1
     assert any("sim: 20.00 of 20 s" in line for line in flight.lines)
-    assert "lost recorder, uav3" in flight.lines[-1]
+    assert "with a fault: recorder, uav3" in flight.lines[-1]
     assert not flight.running()
     with pytest.raises(BagError, match="ptnsbc bag repair"):
         read_bag(tmp_path / "bag")

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: every process has its handlers before anything else, and ends in order."""
+"""SIGINT, SIGTERM and SIGHUP: every process has its handlers before anything else, and ends in order."""
 
 import os
 import signal
@@ -40,6 +40,40 @@ def test_a_stop_request_gives_the_handlers_back():
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.came
     assert signal.getsignal(signal.SIGINT) is before
+
+
+HANGS_UP = """
+import pathlib, sys
+from ptnsbc_nodes.runtime.signals import StopRequest
+
+with StopRequest() as stop:
+    print("ready", flush=True)
+    stop.wait(60.0)
+    print("a summary for nobody", flush=True)
+    pathlib.Path(sys.argv[1]).write_text(f"{stop.count} stop")
+"""
+
+
+def test_a_terminal_that_is_closed_is_one_order_to_stop_and_its_words_end_nothing(tmp_path):
+    ours, theirs = os.openpty()
+    # `setsid -c` makes the terminal the one that hangs up on it.
+    command = ["setsid", "-c", sys.executable, "-c", HANGS_UP, str(tmp_path / "said")]
+    process = subprocess.Popen(command, cwd=ROOT, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    assert b"ready" in os.read(ours, 100)
+    os.close(ours)
+    assert process.wait(60.0) == 0
+    assert (tmp_path / "said").read_text() == "1 stop"
+
+
+def test_who_ignores_that_a_terminal_is_closed_goes_on_so():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopRequest() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not stop.came
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_handlers_of_a_process_can_be_given_back():
@@ -125,13 +159,13 @@ MOMENTS = ["start", "ptnsbc_nodes.runtime.signals", "numpy", "rclpy", "last"]
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_signal_at_any_moment_of_the_start_ends_a_process_in_order(name, domain, tmp_path):
-    """SIGINT and SIGTERM in turn, which have one handler."""
+    """The signals in turn, which have one handler."""
     pytest.importorskip("rclpy")
     (tmp_path / "hook").mkdir()
     (tmp_path / "hook" / "sitecustomize.py").write_text(HOOK)
     running = {}
     for row, moment in enumerate(MOMENTS):
-        number = (signal.SIGINT, signal.SIGTERM)[row % 2]
+        number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[row % 3]
         (folder := tmp_path / moment).mkdir()
         environment = {
             **os.environ,

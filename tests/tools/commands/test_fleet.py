@@ -105,7 +105,10 @@ def flown(**changes: Any) -> Any:
         "flight_s": 7.0,
         "exit_code": 0,
     }
-    return SimpleNamespace(**{**facts, **changes})
+    result = SimpleNamespace(**{**facts, **changes})
+    of_fleets = pytest.importorskip("ptnsbc_nodes.fleet.fleet")  # needs rclpy
+    result.losses = of_fleets.FleetResult.losses.fget(result)
+    return result
 
 
 @pytest.mark.parametrize(
@@ -113,6 +116,10 @@ def flown(**changes: Any) -> Any:
     [
         ({}, []),
         ({"died": ("uav3",)}, ["uav3: ended early, or with a fault"]),
+        (
+            {"died": ("bridge4",), "processes": (SimpleNamespace(name="bridge4", life=2),)},
+            ["bridge4 (replaced): ended early, or with a fault"],
+        ),
         ({"killed": ("uav1",)}, ["uav1 was killed, as the scenario has it"]),
         (
             {"recorded": {**RECORDED, "late": 2}},
