@@ -225,8 +225,10 @@ class LiveServer:
         self._ended.set()
         while self._server.connections and time.monotonic() < limit_s:
             time.sleep(_SETTLE_S)
-        self._server.shutdown()
-        self._thread.join()
+        # It waits for every connection: one that does not let go keeps no flight from ending.
+        ending = threading.Thread(target=self._server.shutdown, daemon=True)
+        ending.start()
+        ending.join(_LAST_S)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, or a refusal; None lets a socket open."""

@@ -7,12 +7,15 @@ import http.client
 import json
 import socket
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+from websockets.sync.server import Server
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools.live.server import (
@@ -133,7 +136,24 @@ def test_a_crowd_without_a_token_is_bounded_and_ends(
             pass
     for one in crowd:
         one.close()
-    assert get(server, f"/?token={server.token}")[0] == 200
+    # The server lets go of a connection a moment after its last byte.
+    end_s = time.monotonic() + 30.0
+    while time.monotonic() < end_s:
+        with suppress(OSError, http.client.HTTPException):
+            assert get(server, f"/?token={server.token}")[0] == 200
+            return
+    pytest.fail("nobody gets in after the crowd has left")
+
+
+def test_a_connection_that_does_not_let_go_keeps_no_flight_from_ending(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("ptnsbc_tools.live.server._LAST_S", 0.01)
+    let_go, shutdown = threading.Event(), Server.shutdown
+    monkeypatch.setattr(Server, "shutdown", lambda server: let_go.wait() and shutdown(server))
+    with LiveServer(Feed(), lambda: ""):
+        pass
+    let_go.set()
 
 
 def test_without_a_descriptor_left_the_page_comes_back(
