@@ -82,8 +82,8 @@ def _records(text: str) -> Iterator[tuple[int, list[str]]]:
         for cells in reader:
             while cells and not cells[-1].strip():  # after a mark at the end of a row
                 cells.pop()
-            if cells and cells[0].startswith("#"):
-                cells = [cell for cell in [cells[0].lstrip("# "), *cells[1:]] if cell]
+            if cells and cells[0].startswith(("#", "//")):
+                cells = [cell for cell in [cells[0].lstrip("#/ "), *cells[1:]] if cell]
                 if begun or sum(not _words(cell).isdisjoint(_NAMES) for cell in cells) < 3:
                     continue
             if cells:

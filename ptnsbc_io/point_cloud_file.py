@@ -1,10 +1,12 @@
-"""Point clouds in files: PCD and PLY (ASCII and binary), CSV with rows x, y, z, and NumPy's `.npy`."""
+"""Point clouds in files: PCD, PLY, LAS and LAZ, tables with rows x, y, z, and NumPy's `.npy`."""
 
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from collections.abc import Sequence
-from pathlib import Path
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +15,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.number_table import read_table
 
-MOST_BYTES = 100_000_000
-"""Of a file."""
-
 _LONGEST_HEADER = 10_000
 _MOST_COUNT = 10_000  # of numbers in one field
+_LONGEST_S = 60.0  # to read a LAS file
 _FARTHEST_M = 1e6
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _PLY_TYPES |= {"float": "f4", "double": "f8"}
@@ -32,34 +32,30 @@ class PointCloudFileError(PtnsbcError):
     """A file that holds no point cloud, in words that follow its name."""
 
 
-def read_points(path: Path) -> Array:
+def read_points(suffix: str, data: bytes) -> Array:
     """Points (N, 3) [m] of a file; those that are not finite are left out.
 
+    Args:
+        suffix: of its name, as `.pcd`.
+        data: its content.
+
     Raises:
-        PointCloudFileError: the file is no such file, too large, or has no points.
+        PointCloudFileError: the file is no such file, or has no points.
     """
-    readers = {".pcd": _pcd, ".ply": _ply, ".csv": _csv, ".npy": _npy}
-    suffix = path.suffix.lower()
-    read = readers.get(suffix)
+    readers = {".pcd": _pcd, ".ply": _ply, ".csv": _csv, ".xyz": _csv, ".npy": _npy}
+    readers |= {".las": _las, ".laz": _las}
     if suffix in _OCTOMAP:
         raise PointCloudFileError(f"an octree: expected its points, {_OCTOMAP[suffix]}")
-    if read is None:
+    if suffix not in readers:
         raise PointCloudFileError(f"expected a file that ends in {', '.join(readers)}")
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise PointCloudFileError(
-            f"{getattr(error, 'strerror', None) or error}: expected a readable file"
-        ) from None
-    if len(data) > MOST_BYTES:
-        raise PointCloudFileError(f"expected at most {MOST_BYTES} bytes")
-    points = read(data)
+    points = readers[suffix](data)
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         raise PointCloudFileError("no points: expected at least one with three finite numbers")
     if np.abs(points).max() > _FARTHEST_M:
-        raise PointCloudFileError(f"expected no coordinate beyond {_FARTHEST_M:g} m")
+        raise PointCloudFileError(
+            f"expected no coordinate beyond {_FARTHEST_M:g} m: take the origin of the scenario off"
+        )
     return np.asarray(points, dtype=np.float64)
 
 
@@ -71,6 +67,28 @@ def _csv(data: bytes) -> Array:
         raise PointCloudFileError(f"byte {error.start}: expected UTF-8 text") from None
     except ValueError as error:
         raise PointCloudFileError(str(error)) from None
+
+
+_LAS = """
+import resource, sys, laspy, numpy
+resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+cloud = laspy.read(sys.stdin.buffer)
+sys.stdout.buffer.write(numpy.column_stack([cloud.x, cloud.y, cloud.z]).tobytes())
+"""
+
+
+def _las(data: bytes) -> Array:
+    """By laspy in a process of its own, which a damaged file may end or keep for ever."""
+    if not all(map(find_spec, ("laspy", "lazrs"))):
+        raise PointCloudFileError('expected laspy, which reads it: pip install "ptnsbc[maps]"')
+    command = [sys.executable, "-c", _LAS]
+    try:
+        done = subprocess.run(
+            command, input=data, capture_output=True, timeout=_LONGEST_S, check=True
+        )
+    except subprocess.SubprocessError:
+        raise PointCloudFileError("expected a LAS or LAZ file that laspy reads") from None
+    return np.frombuffer(done.stdout).reshape(-1, 3)
 
 
 class _Field(NamedTuple):
@@ -106,7 +124,7 @@ def _points(
         raise PointCloudFileError("expected a row of numbers for each point") from None
     if len(rows) != count:
         raise PointCloudFileError(f"{len(rows)} points: expected {count}, as the header says")
-    return np.asarray(rows, dtype=np.float64)
+    return np.asarray(rows, dtype=np.float64).reshape(-1, 3)
 
 
 def _ply(data: bytes) -> Array:
@@ -132,10 +150,6 @@ def _vertices(lines: list[list[str]], order: str) -> tuple[int, list[_Field]]:
     first = lines[elements[0]] if elements else []
     if len(first) != 3 or first[1] != "vertex":
         raise PointCloudFileError("expected vertices as the first element")
-    if not (first[2].isascii() and first[2].isdecimal() and 0 < int(first[2]) < 10**9):
-        raise PointCloudFileError(
-            f"element vertex {first[2][:40]}: expected a whole number above 0"
-        )
     fields = []
     for words in lines[elements[0] + 1 : (*elements, len(lines))[1]]:
         if words[:1] != ["property"]:
@@ -143,7 +157,7 @@ def _vertices(lines: list[list[str]], order: str) -> tuple[int, list[_Field]]:
         if len(words) != 3 or words[1] not in _PLY_TYPES:
             raise PointCloudFileError(f"{' '.join(words)[:60]}: expected a property of one number")
         fields.append(_Field(words[2], order + _PLY_TYPES[words[1]]))
-    return int(first[2]), fields
+    return _numbers("element vertex", first[2:])[0], fields
 
 
 def _npy(data: bytes) -> Array:
@@ -173,7 +187,7 @@ def _pcd(data: bytes) -> Array:
     for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
         if not header.get(key):
             raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
-    points, kind = _numbers(header, "POINTS")[0], header["DATA"][0]
+    points, kind = _numbers("POINTS", header["POINTS"])[0], header["DATA"][0]
     if kind not in ("ascii", "binary"):
         raise PointCloudFileError(
             f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
@@ -181,9 +195,8 @@ def _pcd(data: bytes) -> Array:
     return _points(data[after + 1 :], _fields(header), points, text=kind == "ascii")
 
 
-def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
-    """The numbers of a line of the header, each from 1 to `MOST_BYTES`."""
-    words = header[key]
+def _numbers(key: str, words: list[str]) -> list[int]:
+    """The numbers of a line of a header, each from 0 to 999 999 999."""
     if not all(word.isascii() and word.isdecimal() and len(word) < 10 for word in words):
         raise PointCloudFileError(f"{key} {' '.join(words)[:40]}: expected whole numbers")
     return [int(word) for word in words]
@@ -191,8 +204,8 @@ def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
 
 def _fields(header: dict[str, list[str]]) -> list[_Field]:
     """The fields of a point, as the header of a PCD file tells them."""
-    names, kinds, sizes = header["FIELDS"], header["TYPE"], _numbers(header, "SIZE")
-    counts = _numbers(header, "COUNT") if header.get("COUNT") else [1] * len(names)
+    names, kinds, sizes = header["FIELDS"], header["TYPE"], _numbers("SIZE", header["SIZE"])
+    counts = _numbers("COUNT", header.get("COUNT") or ["1"] * len(names))
     if not len(names) == len(kinds) == len(sizes) == len(counts):
         raise PointCloudFileError("expected as many words in FIELDS, SIZE, TYPE and COUNT")
     fields = []

@@ -6,7 +6,6 @@ The near-object sensor, the verdict and all pictures know boxes: docs/notes/bodi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +23,15 @@ FINEST_M, COARSEST_M = 0.01, 100.0
 _MOST_CELLS = 200_000
 
 
-def map_text(path: Path, resolution_m: float) -> str:
+def map_text(suffix: str, data: bytes, resolution_m: float) -> str:
     """The boxes of a map file as text, a row of the two corners x, y, z [m] for each.
+
+    `suffix` and `data` are those of `point_cloud_file.read_points`, `resolution_m` the edge of a cell.
 
     Raises:
         PointCloudFileError: the file is no point cloud, or takes too many boxes.
     """
-    corners = covering_boxes(read_points(path), resolution_m)
+    corners = covering_boxes(read_points(suffix, data), resolution_m)
     return "".join(",".join(f"{number:.10g}" for number in row) + "\n" for row in corners.tolist())
 
 

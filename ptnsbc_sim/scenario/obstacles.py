@@ -92,8 +92,8 @@ class ObstacleBlock(Block):
     normal: Vec3 | None = None
     """*plane*, *half_space* Direction across the surface, of any length; out of the half-space."""
     file: str | None = None
-    """*map* Name of a point cloud, looked for beside the scenario: `.pcd` or `.ply` (ASCII or binary), `.csv` with
-    rows x, y, z, or `.npy`; at most 100 MB. It becomes `samples` when it is read, so that a bag holds it."""
+    """*map* Name of a point cloud, looked for beside the scenario: `.pcd`, `.ply`, `.las`, `.laz`, `.npy`, `.csv` or
+    `.xyz` with rows x, y, z; at most 100 MB. It becomes `samples` when it is read, so that a bag holds it."""
     resolution_m: Annotated[Positive, Field(ge=FINEST_M, le=COARSEST_M)] | None = None
     """*map* Edge of the cells of a grid: those in which a point lies are kept out of."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None

@@ -1,7 +1,9 @@
 """Point clouds from files, and what is refused."""
 
+from io import BytesIO
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
@@ -38,12 +40,17 @@ def written(folder: Path, name: str, content: str | bytes) -> Path:
     return path
 
 
+def points_of(path: Path) -> Array:
+    return read_points(path.suffix.lower(), path.read_bytes())
+
+
 def test_every_form_holds_the_same_points(tmp_path: Path) -> None:
     single = POINTS.astype("<f4")
     np.save(tmp_path / "a.npy", POINTS)
     files = [
         tmp_path / "a.npy",
         written(tmp_path, "a.csv", "x,y,z\n" + rows(POINTS).replace(" ", ",")),
+        written(tmp_path, "a.xyz", "//X Y Z R\n" + rows(POINTS).replace("\n", " 9\n")),
         written(tmp_path, "b.csv", "# a scan\n" + rows(POINTS).replace(" ", ",")),
         written(
             tmp_path, "c.csv", "\ufeff" + rows(POINTS).replace(" ", ",")
@@ -62,7 +69,27 @@ def test_every_form_holds_the_same_points(tmp_path: Path) -> None:
         written(tmp_path, "b.PCD", header("binary").encode() + single.tobytes()),
     ]
     for path in files:
-        np.testing.assert_array_equal(read_points(path), POINTS)
+        np.testing.assert_array_equal(points_of(path), POINTS)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.LAZ"])
+def test_points_of_a_survey_are_read(tmp_path: Path, name: str) -> None:
+    cloud = laspy.create(point_format=3, file_version="1.2")
+    cloud.header.scales = [0.01, 0.01, 0.01]
+    cloud.x, cloud.y, cloud.z = POINTS.T
+    made = BytesIO()
+    cloud.write(made, do_compress=name.endswith("Z"))
+    np.testing.assert_allclose(points_of(written(tmp_path, name, made.getvalue())), POINTS)
+
+
+@pytest.mark.parametrize("missing", ["laspy", "lazrs"])
+def test_a_survey_needs_a_library_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    found = "ptnsbc_io.point_cloud_file.find_spec"
+    monkeypatch.setattr(found, lambda name: None if name == missing else name)
+    with pytest.raises(PointCloudFileError, match=r'pip install "ptnsbc\[maps\]"'):
+        points_of(written(tmp_path, "a.las", b""))
 
 
 def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
@@ -73,10 +100,10 @@ def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
     text = header("binary", fields="i z n x y", kinds="U F F F F")
     text = text.replace("WIDTH", "COUNT 1 1 3 1 1\nWIDTH")
     path = written(tmp_path, "a.pcd", text.encode() + given.tobytes())
-    np.testing.assert_array_equal(read_points(path), POINTS)
+    np.testing.assert_array_equal(points_of(path), POINTS)
     flat = "".join(f"7 {z} 0 0 0 {x} {y}\n" for x, y, z in POINTS.tolist())
     path = written(tmp_path, "b.pcd", text.replace("binary", "ascii") + flat)
-    np.testing.assert_array_equal(read_points(path), POINTS)
+    np.testing.assert_array_equal(points_of(path), POINTS)
 
 
 def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
@@ -84,7 +111,7 @@ def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
     path = written(
         tmp_path, "a.ply", text + "".join(f"9 {row} 7\n" for row in rows(POINTS).split("\n") if row)
     )
-    np.testing.assert_array_equal(read_points(path), POINTS)
+    np.testing.assert_array_equal(points_of(path), POINTS)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +120,8 @@ def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
         ("a.ply", "plyx\n", "with a line end_header"),
         ("a.ply", ply("ascii 9").replace("ascii", "text"), "format text: expected ascii"),
         ("a.ply", ply("ascii", "x y"), "expected fields x, y and z, each"),
-        ("a.ply", ply("ascii", vertices="-1"), "element vertex -1: expected a whole number"),
+        ("a.ply", ply("ascii", vertices="-1"), "element vertex -1: expected whole numbers"),
+        ("a.ply", ply("ascii", vertices="0"), "no points: expected at least one"),
         ("a.ply", ply("ascii").replace("vertex 3", "edge 3"), "expected vertices as the first"),
         ("a.ply", ply("ascii").replace("float x", "list uchar int x"), "a property of one number"),
         ("a.ply", ply("ascii") + "1 2 3\n", "1 points: expected 3"),
@@ -105,18 +133,24 @@ def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_no_ply_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
     with pytest.raises(PointCloudFileError, match=message):
-        read_points(written(tmp_path, name, content))
+        points_of(written(tmp_path, name, content))
 
 
 def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
     path = written(tmp_path, "a.pcd", header("ascii", 4) + "nan nan nan\n" + rows(POINTS))
-    np.testing.assert_array_equal(read_points(path), POINTS)
+    np.testing.assert_array_equal(points_of(path), POINTS)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.las", "", r"expected a file that ends in \.pcd, \.ply, \.csv, \.npy"),
+        (
+            "a.txt",
+            "",
+            r"expected a file that ends in \.pcd, \.ply, \.csv, \.xyz, \.npy, \.las, \.laz",
+        ),
+        ("a.las", "", "expected a LAS or LAZ file that laspy reads"),
+        ("a.laz", b"LASF" + bytes(400), "expected a LAS or LAZ file that laspy reads"),
         ("a.csv", "", "no points: expected at least one"),
         ("a.csv", "x,y,z\n", "no points: expected at least one"),
         ("a.csv", "1,2\n3,4\n", "row 1: 2 numbers: expected x, y, z"),
@@ -129,6 +163,7 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
         ("a.pcd", "", "expected the header of a PCD file"),
         ("a.pcd", "FIELDS x y z\nDATA ascii\n", "expected a line SIZE in the header"),
         ("a.pcd", header("ascii"), "0 points: expected 3"),
+        ("a.pcd", header("ascii", 0), "no points: expected at least one"),
         ("a.pcd", header("ascii") + "1 2 3\n", "1 points: expected 3"),
         ("a.pcd", header("ascii") + "1 2 3\n1 2\n1 2 3\n", "expected a row of numbers for each"),
         ("a.pcd", header("binary") + "1234", "expected 36 bytes of points, found 4"),
@@ -152,12 +187,7 @@ def test_what_is_no_point_cloud_is_refused(
     tmp_path: Path, name: str, content: str | bytes, message: str
 ) -> None:
     with pytest.raises(PointCloudFileError, match=message):
-        read_points(written(tmp_path, name, content))
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PointCloudFileError, match="No such file"):
-        read_points(tmp_path / "a.csv")
+        points_of(written(tmp_path, name, content))
 
 
 def test_an_array_of_another_shape_is_refused(tmp_path: Path) -> None:
@@ -166,4 +196,4 @@ def test_an_array_of_another_shape_is_refused(tmp_path: Path) -> None:
         with pytest.raises(
             PointCloudFileError, match=r"expected an array of|expected \(N, 3\), a row"
         ):
-            read_points(tmp_path / "a.npy")
+            points_of(tmp_path / "a.npy")

@@ -42,7 +42,7 @@ def test_too_many_boxes_are_refused() -> None:
 def test_the_text_of_a_map_is_read_back(tmp_path: Path) -> None:
     points = np.random.default_rng(3).uniform(-5, 5, (300, 3))
     np.save(tmp_path / "a.npy", points)
-    text = map_text(tmp_path / "a.npy", 1.3)
+    text = map_text(".npy", (tmp_path / "a.npy").read_bytes(), 1.3)
     np.testing.assert_allclose(boxes_of(text), covering_boxes(points, 1.3), rtol=1e-9)
 
 

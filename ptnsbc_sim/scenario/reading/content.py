@@ -28,6 +28,7 @@ from ptnsbc_sim.scenario.mission.stream import setpoints_of
 from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock, samples_of
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown
 
+_MOST_BYTES = 100_000_000  # of a file
 _READERS: Mapping[str, Callable[[str], object]] = {
     "csv": samples_of,
     "file": offsets_of,
@@ -72,17 +73,20 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
         raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a {what}")
     path = folder / Path(name).expanduser()
     try:
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise ValueError(f"expected at most {_MOST_BYTES} bytes")
         if kind == "map":
             key = f"{where}.resolution_m"
             edge_m = _quantity(block.get("resolution_m"), "m", key, FINEST_M, COARSEST_M)
-            return map_text(path, edge_m)
-        with path.open(encoding="utf-8-sig") as stream:  # Excel begins a CSV file with a mark
-            text = stream.read(MOST_SAMPLES + 1)
+            return map_text(path.suffix.lower(), data, edge_m)
+        text = data.decode("utf-8-sig").replace("\r\n", "\n")  # Excel begins a CSV file with a mark
         if len(text) > MOST_SAMPLES:
             raise ValueError(f"expected at most {MOST_SAMPLES} characters: leave rows out")
         _READERS[kind](text)
     except OSError as error:
-        why = f"{error.strerror}: expected a readable CSV file"
+        why = f"{error.strerror}: expected a readable file"
         raise ScenarioError(f"{where}.file: {path}: {why}") from None
     except (PointCloudFileError, ValueError) as error:
         raise ScenarioError(f"{where}.file: {path}: {error}") from None
