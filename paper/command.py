@@ -53,10 +53,11 @@ def reproduce(
     """
     from paper import output
     from paper.catalogue import select
-    from ptnsbc_tools import console, options
+    from ptnsbc_sim.scenario.reading.reader import set_keys
+    from ptnsbc_tools import console
 
     experiments = select(only)
-    changes = options.set_keys(settings)
+    changes = set_keys(settings or ())
     output.check_free(folder, [one.name for one in experiments])
     # Not above: this loads the laws, and a refusal does not wait for them.
     from paper import flights, report, runner

@@ -220,9 +220,11 @@ class Choices:
 
     def keys(self) -> dict[str, Any]:
         """Dotted keys of the scenario file and their values."""
+        from ptnsbc_sim.scenario.reading.reader import set_keys
+
         given = {_KEYS[name]: value for name, value in vars(self).items() if name in _KEYS}
         given["mission"] = _legs_in(getattr(self, "mission", None))
-        given |= set_keys(self.settings)
+        given |= set_keys(self.settings or ())
         return {key: value for key, value in given.items() if value is not None}
 
 
@@ -242,13 +244,11 @@ class FlightChoices(Choices):
         ),
     ] = None
 
-    def of(self, scenario: str, params_file: Path | None = None) -> Scenario:
+    def of(self, scenario: str) -> Scenario:
         """The scenario of this name or file with these choices."""
         from ptnsbc_sim.scenario import ScenarioError
 
         try:
-            if params_file is not None:
-                return _with_parameters(scenario, params_file, self.keys())
             return scenario_with(scenario, self.keys())
         except ScenarioError as error:
             # Errors of legs name the file that they are in, not the scenario that flies them.
@@ -352,38 +352,6 @@ def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
     from ptnsbc_sim.scenario import load_scenario  # loads numba, which `--help` does not need
 
     return load_scenario(name, given)
-
-
-def set_keys(settings: list[str] | None) -> dict[str, Any]:
-    """The dotted keys of `--set KEY=VALUE`; values are read like the file, so that "5 s" means the same."""
-    from ptnsbc_sim.scenario.reading.reader import parse
-
-    given = {}
-    for text in settings or ():
-        key, found, value = text.partition("=")
-        key = key.strip()
-        if not found or not key:
-            raise typer.BadParameter(f'--set "{text}": expected KEY=VALUE')
-        given[key] = parse(f"value: {value}", f"--set {key}")["value"]
-    return given
-
-
-def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
-    """A scenario with the values of a ROS parameter file, and with other options, which win."""
-    from ptnsbc_nodes.runtime.scenario_parameters import given_parameters
-    from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
-    from ptnsbc_sim.scenario.reading.reader import read_text
-
-    scenario, parameters = load_scenario(name), given_parameters(read_text(file), str(file))
-    if parameters.text:
-        other = scenario_from_text(parameters.text, parameters.values, source=str(file))
-        if other.name != scenario.name:
-            raise ScenarioError(
-                f"{file}: holds the scenario {other.name}: expected the values of {scenario.name}, or "
-                f"{other.name} to be flown"
-            )
-        return other.with_(given)
-    return scenario.with_(parameters.values).with_(given)
 
 
 def _legs_in(path: Path | None) -> Any:

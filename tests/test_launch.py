@@ -18,9 +18,7 @@ from typer.testing import CliRunner
 
 from ptnsbc_nodes.bridge import bridge_main
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
-from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 from ptnsbc_nodes.uav import uav_main
-from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands import fleet as fleet_command
 
@@ -212,23 +210,6 @@ def test_a_mission_arrives(kind, evaluate):
     assert one.cmd[-2:] == ["--mission", "legs.yaml"]
 
 
-def test_a_parameter_file_arrives(kind, evaluate, flown, tmp_path):
-    file, values = tmp_path / "tuned.yaml", "{seed: 9, gains: {formation: {kappa_1_s: 2.5}}}"
-    file.write_text(f"/**: {{ros__parameters: {values}}}")
-    entities = evaluate("fleet", params_file=str(file), set="gains.formation.kappa_1_s=3")
-    (one,) = processes(kind, entities)
-    scenario, _ = flown(one.cmd[1:])
-    assert scenario.seed == 9
-    assert scenario.gains.formation.kappa_1_s == 3
-    # As `ptnsbc network params` writes it, the file is a whole scenario; another one is refused.
-    file.write_text(parameter_file(load_scenario("paper_5", {"seed": 8})))
-    scenario, _ = flown(["fleet", "paper_5", "--params-file", str(file)])
-    assert scenario == load_scenario("paper_5", {"seed": 8})
-    refused = CliRunner().invoke(app, ["fleet", "paper_20", "--params-file", str(file)])
-    assert refused.exit_code == 2
-    assert "holds the scenario paper_5" in refused.output
-
-
 @pytest.mark.parametrize(
     ("viewer", "package"), [("rviz", "rviz2"), ("foxglove", "foxglove_bridge")]
 )
@@ -291,11 +272,14 @@ def test_a_launched_uav_understands_its_arguments(kind, evaluate, understood):
         assert understood(one), one
 
 
-def test_one_uav_flies_by_a_parameter_file(kind, evaluate):
-    (controller,) = processes(kind, evaluate("uav", uav="2", params="/a/fleet.yaml"))
+def test_one_uav_flies_the_scenario_with_other_values(kind, evaluate):
+    entities = evaluate(
+        "uav", uav="2", scenario="fleet.yaml", set="seed=3 'world.wind_m_s=[1, 0, 0]'"
+    )
+    (controller,) = processes(kind, entities)
     assert (controller.executable, controller.namespace) == ("uav", "uav2")
-    assert controller.arguments == ["--uav", "2"]
-    assert "/a/fleet.yaml" in map(str, controller.parameters)
+    values = ["--set", "seed=3", "--set", "world.wind_m_s=[1, 0, 0]"]
+    assert controller.arguments == ["--uav", "2", "--scenario", "fleet.yaml", *values]
 
 
 def test_one_uav_with_its_bridge_arms_only_when_told_to(kind, evaluate):

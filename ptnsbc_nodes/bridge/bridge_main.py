@@ -14,8 +14,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     exit_on_signal()
     from ptnsbc_nodes.runtime.node_process import Arguments, run
 
-    parser = Arguments("bridge", "MAVLink bridge of one UAV", scenario=False)
-    parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")
+    parser = Arguments("bridge", "MAVLink bridge of one UAV")
+    parser.set_defaults(bridged=True)
+    parser.add_argument("--uav", type=int, required=True, metavar="N", help="id of this UAV")
     parser.add_argument("--connect", help="instead of the scenario's link to the vehicle")
     parser.add_argument("--signing-key", type=Path, help="instead of the scenario's key file")
     parser.add_argument("--allow-arming", action="store_true", help="arm and take off")
@@ -24,20 +25,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
-    from ptnsbc_nodes.bridge.process import BridgeError, serve_bridge
+    from ptnsbc_nodes.bridge.process import serve_bridge
+    from ptnsbc_nodes.runtime.node_process import flown
 
-    given = {
-        "scenario": arguments.scenario,
-        "uav": arguments.uav,
-        "recorded": arguments.recorded,
-        "signing_key": str(arguments.signing_key or ""),
-        "allow_arming": arguments.allow_arming,
-    }
-    if arguments.connect is not None:
-        if arguments.uav is None:
-            raise BridgeError(f"--connect {arguments.connect}: expected --uav N as well")
-        given[f"mavlink.vehicles.{arguments.uav}.connect"] = arguments.connect
-    return serve_bridge(given, argv, managed=arguments.managed)
+    connect = {f"mavlink.vehicles.{arguments.uav}.connect": arguments.connect}
+    return serve_bridge(
+        flown(arguments, connect),
+        arguments.uav,
+        argv,
+        recorded=arguments.recorded,
+        signing_key=arguments.signing_key,
+        allow_arming=arguments.allow_arming,
+        managed=arguments.managed,
+    )
 
 
 if __name__ == "__main__":

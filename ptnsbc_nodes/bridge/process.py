@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,14 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-from ptnsbc_nodes.runtime.node_parameters import AUTOSTART, SCENARIO, UAV, NodeParameters, overrides
-from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node, serve_managed
-from ptnsbc_nodes.runtime.scenario_parameters import DescribedValue, Value
+from ptnsbc_nodes.runtime.node_process import (
+    ProcessLifetime,
+    options_of,
+    ros_context,
+    ros_node,
+    serve_managed,
+)
+from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.bridge.bridge_node import BridgeNode
@@ -53,27 +59,28 @@ class _LandingLifetime(ProcessLifetime):
             super()._on_signal(number, frame)
 
 
-_FIXED = (
-    *SCENARIO,
-    UAV,
-    AUTOSTART,
-    DescribedValue("signing_key", "", "key file, instead of the scenario's"),
-    DescribedValue("allow_arming", False, "arm and take off"),
-)
-
-
-def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
+def serve_bridge(
+    scenario: Scenario,
+    uav: int,
+    argv: Sequence[str],
+    *,
+    recorded: bool = False,
+    signing_key: Path | None = None,
+    allow_arming: bool = False,
+    managed: bool = False,
+) -> int:
     """Bridge one vehicle until it has landed, or a signal; returns the exit code.
 
-    `given` are values of the node's parameters, `argv` is for ROS; a `managed` bridge waits to be configured.
+    `argv` is for ROS, `signing_key` the key file instead of the scenario's; a `managed` bridge waits to be configured.
     """
     lifetime = _LandingLifetime()
-    namespace = "" if given["uav"] is None else f"/uav{given['uav']}"
+    settings = scenario.vehicle_link(scenario.uav(uav).id)
+    key = str(signing_key or settings.signing_key or "")
+    flight = options_of(scenario, recorded=recorded, bridged=True)
     with (
         ros_context(argv),
-        ros_node("bridge", namespace, make=ManagedNode, parameters=overrides(given)) as node,
+        ros_node("bridge", f"/uav{uav}", make=ManagedNode, scenario=scenario) as node,
     ):
-        parameters = NodeParameters(node, _FIXED, bridged=True, fixed=node.fixed)
         if not environment.prefer_punctuality():
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 
@@ -84,20 +91,17 @@ def serve_bridge(given: Mapping[str, Value | None], argv: Sequence[str], *, mana
             except ImportError as error:
                 missing = f"{error.name} is not installed: install the extra [mavlink]"
                 raise BridgeError(missing) from None
-            scenario, uav = parameters.scenario, parameters.uav
             if scenario.plant.kind != "quadrotor":
                 raise BridgeError(
                     f"{scenario.source}: plant.kind: {scenario.plant.kind}: expected quadrotor, "
                     "the only plant that flight controllers fly here"
                 )
-            settings = scenario.vehicle_link(uav)
-            key = str(parameters["signing_key"] or settings.signing_key or "")
-            link, edges = open_link(settings, key), CommunicationGraph(scenario, parameters.options)
+            link, edges = open_link(settings, key), CommunicationGraph(scenario, flight)
             # A bridge that is started by hand may be the only one.
-            options = BridgeOptions(parameters["allow_arming"], with_fleet=managed, signing_key=key)
+            options = BridgeOptions(allow_arming, with_fleet=managed, signing_key=key)
             lifetime.bridge = BridgeNode(node, scenario, uav, edges, link, options, lifetime.end)
             return lifetime.bridge
 
         node.assign(configure, lifetime.land_or_end)
-        code = serve_managed([node], lifetime, autostart=parameters["autostart"] and not managed)
+        code = serve_managed([node], lifetime, autostart=not managed)
         return code if lifetime.bridge is None else code or lifetime.bridge.exit_code

@@ -32,25 +32,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
-    from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.comm.topics import RECORDER
     from ptnsbc_nodes.fleet.child_process import Crew, FleetOptions
     from ptnsbc_nodes.fleet.fleet_node import LauncherNode
     from ptnsbc_nodes.fleet.supervisor import call_down
     from ptnsbc_nodes.fleet.takeoff import Launch, TakeOff
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.security.middleware import check_enforced
-    from ptnsbc_sim.scenario import load_scenario
+    from ptnsbc_nodes.runtime.node_process import flown, options_of
 
-    scenario = load_scenario(arguments.scenario)
-    check_enforced(scenario)
+    scenario = flown(arguments)
+    seal = options_of(scenario).seal
     backend: Literal["sim", "mavlink"] = "mavlink" if arguments.bridged else "sim"
     options = FleetOptions(scenario, backend=backend, ready_timeout_s=arguments.patience)
     deadline = time.monotonic() + options.patience_s
     # Others have started all processes; this one leads, as a computer with the recorder does.
     options = replace(options, only=frozenset({RECORDER}))
     with StopRequest() as stop:
-        domain, seal = environment.named_domain(), seal_of(scenario)
+        domain = environment.named_domain()
         with LauncherNode(domain, ros_arguments=argv[1:], seal=seal) as node:
             if arguments.manage:
                 for i in scenario.uav_ids:

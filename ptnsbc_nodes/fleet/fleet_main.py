@@ -37,11 +37,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
-    from ptnsbc_sim.scenario import load_scenario
+    from ptnsbc_nodes.runtime.node_process import flown
 
-    scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
-    if arguments.backend == "mavlink":
-        scenario = scenario.bridged()
+    arguments.bridged = arguments.backend == "mavlink"
+    scenario = flown(arguments, {"timing.duration_s": arguments.duration})
     names = {field.name for field in fields(FleetOptions)} & vars(arguments).keys() - {"scenario"}
     options = FleetOptions(scenario, **{name: getattr(arguments, name) for name in names})
     result = run_fleet(options, _say)

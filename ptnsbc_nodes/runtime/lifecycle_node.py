@@ -19,17 +19,12 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.runtime.node_parameters import FIXED
 
 
 class ConfiguredNode(Protocol):
     """The behaviour of a configured node: it has topics from the start, and acts while it is active."""
 
     endpoints: Endpoints
-
-    @property
-    def begun(self) -> bool:
-        """True if its flight has begun."""
 
     def activate(self) -> None:
         """Begin."""
@@ -50,7 +45,6 @@ class ManagedNode(LifecycleNode):
         self.refusal: PtnsbcError | None = None  # of the newest transition
         self._by_itself = False  # `autostart` raises a refusal instead of logging it
         self.broken = False  # an error that is not the user's has come up
-        self._flown = False  # work that is closed by now had begun its flight
         self._make: Callable[[], ConfiguredNode | None] = lambda: None
         self._end: Callable[[], None] = lambda: None
         _refuse_impossible_requests(self)
@@ -63,12 +57,6 @@ class ManagedNode(LifecycleNode):
     def state(self) -> str:
         """unconfigured, inactive, active or finalized."""
         return str(self._state_machine.current_state[1])
-
-    def fixed(self) -> str:
-        """The reason why values of the scenario may not change now; empty where they may."""
-        if self._flown:
-            return "the flight has begun, and all its processes must agree; start this one anew"
-        return "" if self.state == "unconfigured" else FIXED
 
     def autostart(self) -> None:
         """Configure and activate without being asked; raises the error that refuses it."""
@@ -114,7 +102,6 @@ class ManagedNode(LifecycleNode):
 
     def _close(self) -> None:
         if self.work is not None:
-            self._flown = self._flown or self.work.begun
             self.work.close()
             self.work = None
 

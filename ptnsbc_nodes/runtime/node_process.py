@@ -8,17 +8,16 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
@@ -27,8 +26,13 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+from ptnsbc_nodes.runtime.node_parameters import fix_parameters
 from ptnsbc_nodes.runtime.provenance import add_version
 from ptnsbc_nodes.runtime.signals import install_handler, keep_exit_code
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.comm.graph import FlightOptions
+    from ptnsbc_sim.scenario import Scenario
 
 USER_ERROR = 2
 FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
@@ -51,6 +55,14 @@ class Arguments(argparse.ArgumentParser):
         self.add_argument(
             "--scenario", required=scenario, help="scenario file, or name of a built-in"
         )
+        self.add_argument(
+            "--set",
+            dest="settings",
+            metavar="KEY=VALUE",
+            action="append",
+            default=[],
+            help="another value of the scenario, in all processes the same; repeatable",
+        )
         self.add_argument("--lockstep", action="store_true", help="tick with the simulation")
         self.add_argument(
             "--recorded", action="store_true", help="be ready only when a recorder listens"
@@ -63,6 +75,27 @@ class Arguments(argparse.ArgumentParser):
         """Print one line and exit with 2."""
         print(f"{self.prog}: {message}", file=sys.stderr)
         raise SystemExit(USER_ERROR)
+
+
+def flown(arguments: argparse.Namespace, keys: Mapping[str, Any] | None = None) -> Scenario:
+    """The scenario of `Arguments`, with more values by dotted key; None leaves a value as it is."""
+    from ptnsbc_sim.scenario import load_scenario
+    from ptnsbc_sim.scenario.reading.reader import set_keys
+
+    scenario = load_scenario(arguments.scenario, {**set_keys(arguments.settings), **(keys or {})})
+    return scenario.bridged() if arguments.bridged else scenario
+
+
+def options_of(
+    scenario: Scenario, *, lockstep: bool = False, recorded: bool = False, bridged: bool = False
+) -> FlightOptions:
+    """The options of a flight; a PtnsbcError where its security cannot be had."""
+    from ptnsbc_nodes.comm.graph import FlightOptions
+    from ptnsbc_nodes.comm.seal import seal_of
+    from ptnsbc_nodes.security.middleware import check_enforced
+
+    check_enforced(scenario)
+    return FlightOptions(lockstep, recorded, bridged, seal_of(scenario))
 
 
 def run(
@@ -259,19 +292,23 @@ def ros_node(
     namespace: str,
     *,
     make: Any = rclpy.create_node,
-    parameters: Sequence[Parameter] | None = None,
+    scenario: Scenario | None = None,
 ) -> Iterator[Any]:
     """One node, made by `make`, in a context that is there.
 
-    With `parameters` it has declared every parameter that it was given, as `NodeParameters` expects; without them it
-    has none of the services that slow down each tick.
+    With a `scenario` it has the parameters of `fix_parameters`; without one it has none of the services that slow down
+    each tick.
     """
-    options: dict[str, Any] = {"start_parameter_services": parameters is not None}
-    if parameters is not None:
-        options["parameter_overrides"] = list(parameters)
-        options["automatically_declare_parameters_from_overrides"] = True
-    node = make(name, namespace=namespace, **options)
+    told = scenario is not None
+    node = make(
+        name,
+        namespace=namespace,
+        start_parameter_services=told,
+        automatically_declare_parameters_from_overrides=told,
+    )
     try:
+        if scenario is not None:
+            fix_parameters(node, scenario)
         yield node
     finally:
         node.destroy_node()

@@ -16,13 +16,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     exit_on_signal()
     from ptnsbc_nodes.runtime.node_process import Arguments, run
 
-    parser = Arguments("uav", "Controller of one UAV of a formation, or of several", scenario=False)
+    parser = Arguments("uav", "Controller of one UAV of a formation, or of several")
     parser.add_argument(
         "--uav",
         type=int,
         nargs="+",
         metavar="N",
-        default=[None],
+        required=True,
         help="ids of the UAVs of this process, one or several",
     )
     parser.add_argument(
@@ -38,7 +38,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.graph import CommunicationGraph
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.runtime import node_parameters as parameters
     from ptnsbc_nodes.runtime import node_process as processes
     from ptnsbc_nodes.runtime.launcher import PARENT
     from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
@@ -48,34 +47,29 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = processes.ProcessLifetime()
     # A launcher ends its processes in order; one that was started by hand would outlive the flight.
     on_abandoned = (lambda: None) if PARENT in os.environ else lifetime.end
-    fixed = (*parameters.SCENARIO, parameters.UAV, parameters.BRIDGED, parameters.AUTOSTART)
+    scenario = processes.flown(arguments)
+    how = {name: getattr(arguments, name) for name in ("lockstep", "recorded", "bridged")}
+    options = processes.options_of(scenario, **how)
 
-    def configured(node: ManagedNode, settings: parameters.NodeParameters) -> UavNode:
-        graph = CommunicationGraph(settings.scenario, settings.options)
-        return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
+    def configured(node: ManagedNode, uav: int) -> UavNode:
+        graph = CommunicationGraph(scenario, options)
+        return UavNode(node, scenario, uav, graph, on_abandoned)
 
     with ExitStack() as stack:
         stack.enter_context(processes.ros_context(argv))
         nodes: list[ManagedNode] = []
         for uav in arguments.uav:
-            names = ("scenario", "lockstep", "recorded", "bridged")
-            given = {name: getattr(arguments, name) for name in names}
-            namespace = arguments.fleet + ("" if uav is None else f"/uav{uav}")
-            overrides = parameters.overrides({**given, "uav": uav})
-            made = processes.ros_node(
-                "controller", namespace, make=ManagedNode, parameters=overrides
-            )
+            namespace = f"{arguments.fleet}/uav{uav}"
+            made = processes.ros_node("controller", namespace, make=ManagedNode, scenario=scenario)
             node: ManagedNode = stack.enter_context(made)
-            settings = parameters.NodeParameters(node, fixed, fixed=node.fixed)
-            load_agent(settings.scenario, settings.uav)
-            node.assign(partial(configured, node, settings), lifetime.end)
+            load_agent(scenario, scenario.uav(uav).id)
+            node.assign(partial(configured, node, uav), lifetime.end)
             nodes.append(node)
-        if settings.options.lockstep:
+        if options.lockstep:
             environment.prefer_throughput()
-        elif settings.options.bridged:
+        elif options.bridged:
             environment.prefer_punctuality()
-        autostart = settings["autostart"] and not arguments.managed
-        return processes.serve_managed(nodes, lifetime, autostart=autostart)
+        return processes.serve_managed(nodes, lifetime, autostart=not arguments.managed)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,9 @@ from ptnsbc_core.types import MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
-from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
-from ptnsbc_sim.scenario.reading.reader import find, read_text
 from ptnsbc_sim.scenario.slots import with_slots
 
 SILENT_S = 2.0
@@ -323,11 +322,9 @@ def _rounded(number: float | None) -> float | None:
     return round(number, 4) if number is not None and math.isfinite(number) else None
 
 
-def scenario_of(text: str, name: str) -> Scenario:
-    """The scenario that a UAV flies, from its parameters `scenario_text` and `scenario`."""
-    if name in available():
-        return load_scenario(name)
-    if not text and not name:
-        raise PtnsbcError("the UAV names no scenario: expected one: ptnsbc view SCENARIO")
+def scenario_of(text: str) -> Scenario:
+    """The scenario that a UAV flies, from the text that it tells."""
+    if not text:
+        raise PtnsbcError("the UAV tells no scenario: expected one: ptnsbc view SCENARIO")
     # It comes over the network: it names no other file, and nothing of it is executed.
-    return scenario_from_text(text or read_text(find(name)), source=name or "uav", complete=True)
+    return scenario_from_text(text, source="uav", complete=True)

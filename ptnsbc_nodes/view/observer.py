@@ -19,6 +19,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.seal import operators_seal, seal_of
 from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
+from ptnsbc_nodes.runtime.node_parameters import SCENARIO
 from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
 from ptnsbc_sim.scenario import Scenario
 
@@ -93,28 +94,27 @@ class Observer(FleetNode):
             for name, namespace in self.node.get_node_names_and_namespaces():
                 found = _CONTROLLER.fullmatch(namespace)
                 if name == "controller" and found and found[1] == self.endpoints.fleet:
-                    values = self._parameters(f"{namespace}/controller", end)
-                    if values is not None:
-                        return scenario_of(*values)
+                    text = self._text(f"{namespace}/controller", end)
+                    if text is not None:
+                        return scenario_of(text)
             self.spin(_LOOK_S)
         raise PtnsbcError(
             f"domain {self.domain}: no UAV answers: expected a fleet there, or the domain that "
             "`ptnsbc fleet` printed: --domain N"
         )
 
-    def _parameters(self, node: str, end: float) -> tuple[str, str] | None:
+    def _text(self, node: str, end: float) -> str | None:
         client = self.node.create_client(GetParameters, f"{node}/get_parameters")
         try:
             while not client.service_is_ready() and time.monotonic() < end:
                 self.spin(_LOOK_S)
-            request = GetParameters.Request(names=["scenario_text", "scenario"])
+            request = GetParameters.Request(names=[SCENARIO])
             call = client.call_async(request)
             self.executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
             answer = call.result() if call.done() else None
-            if answer is None or len(answer.values) != 2:
+            if answer is None or len(answer.values) != 1:
                 return None
-            text, name = (str(value.string_value) for value in answer.values)
-            return text, name
+            return str(answer.values[0].string_value)
         finally:
             self.node.destroy_client(client)
 

@@ -26,11 +26,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
-    from ptnsbc_nodes.comm.seal import seal_of
-    from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node
-    from ptnsbc_nodes.security.middleware import check_enforced
+    from ptnsbc_nodes.runtime.node_process import (
+        ProcessLifetime,
+        flown,
+        options_of,
+        ros_context,
+        ros_node,
+    )
     from ptnsbc_nodes.view.observer import Observer
-    from ptnsbc_sim.scenario import load_scenario
 
     try:
         from ptnsbc_nodes.view.operator_node import OperatorNode
@@ -44,14 +47,14 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = ProcessLifetime()
     with ros_context(argv), ros_node("operator", "") as node:
         if arguments.scenario:
-            scenario = load_scenario(arguments.scenario)
+            scenario = flown(arguments)
         else:
             namespace = node.get_namespace().rstrip("/")
             domain = node.context.get_domain_id()
             with Observer(domain, namespace, "operator_lookup", node.context) as observer:
                 scenario = observer.scenario(_PATIENCE_S, lambda: lifetime.over)
-        check_enforced(scenario)
-        operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal_of(scenario))
+        seal = options_of(scenario).seal
+        operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal)
         lifetime.serve([node], lambda: [operator.endpoints])
         operator.close()
     return 0

@@ -118,13 +118,6 @@ def fleet(
     views: Views,
     network: NetworkOption = None,
     domain: DomainOption = None,
-    params_file: Annotated[
-        Path | None,
-        option(
-            "--params-file FILE",
-            "Values from a ROS parameter file, as of `ptnsbc network params` and `ros2 param dump`; other options win.",
-        ),
-    ] = None,
     check: Annotated[
         bool | None,
         option(
@@ -142,7 +135,7 @@ def fleet(
     host without --network.
     """
     ros.select_network(network, domain)
-    chosen = choices.of(scenario, params_file)
+    chosen = choices.of(scenario)
     raise typer.Exit(fly_and_judge(chosen, parts, showing, check=check, views=views))
 
 

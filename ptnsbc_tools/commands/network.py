@@ -1,4 +1,4 @@
-"""`ptnsbc network`: a fleet on several computers: discovery, parameters, key, policy, single processes."""
+"""`ptnsbc network`: a fleet on several computers: discovery, key, policy, single processes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from ptnsbc_tools.options import (
     group,
     option,
     scenario_with,
-    set_keys,
 )
 
 _OutputOption = Annotated[
     Path | None, option("--output -o FILE", "Write into this file and not to stdout.")
 ]
-network = group(
-    "A fleet on several computers: profiles for --network, parameters, key, policy, processes."
-)
+network = group("A fleet on several computers: profiles for --network, key, policy, processes.")
 
 
 @network.command(
@@ -57,19 +54,6 @@ def node(
     with ros.required():
         module = import_module(modules[name])
     raise typer.Exit(module.main(context.args))
-
-
-@network.command()
-def params(
-    scenario: ScenarioArgument, out: _OutputOption = None, settings: SetOption = None
-) -> None:
-    """Print a scenario as ROS parameters: one file for every node of the fleet, on any computer.
-
-    For `ros2 launch ptnsbc_bringup uav.launch.py params:=FILE`, or after --ros-args --params-file.
-    """
-    from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
-
-    _write(parameter_file(scenario_with(scenario, set_keys(settings))), out)
 
 
 @network.command()
@@ -108,7 +92,9 @@ def policy(
         from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
         from ptnsbc_nodes.security.policy import enclaves
         from ptnsbc_nodes.security.policy import policy as policy_of
-    flown = scenario_with(scenario, set_keys(settings))
+    from ptnsbc_sim.scenario.reading.reader import set_keys
+
+    flown = scenario_with(scenario, set_keys(settings or ()))
     edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
     typer.echo(policy_of(enclaves(flown, edges, backend), namespace), nl=False)
 
@@ -182,17 +168,12 @@ def _hosts(file: Path) -> list[str]:
     return [host for line in lines if (host := line.partition("#")[0].strip())]
 
 
-def _write(text: str, output: Path | None) -> None:
+def _write_profile(profile: str, output: Path | None) -> None:
     if output is None:
-        sys.stdout.write(text)
+        typer.echo(profile)
         return
     from ptnsbc_io.files import replacing
 
     with replacing(output) as part:
-        part.write_text(text, encoding="utf-8")
-
-
-def _write_profile(profile: str, output: Path | None) -> None:
-    _write(f"{profile}\n", output)
-    if output is not None:
-        console.say(f"{output}: give it to --network, or set PTNSBC_NETWORK to it")
+        part.write_text(f"{profile}\n", encoding="utf-8")
+    console.say(f"{output}: give it to --network, or set PTNSBC_NETWORK to it")

@@ -20,7 +20,6 @@ from ptnsbc_tools.options import (
     argument,
     option,
     scenario_with,
-    set_keys,
 )
 
 if TYPE_CHECKING:
@@ -55,7 +54,9 @@ class Vehicle:
 
     def flown(self) -> Scenario:
         """The scenario as real vehicles fly it."""
-        keys = set_keys(self.settings)
+        from ptnsbc_sim.scenario.reading.reader import set_keys
+
+        keys = set_keys(self.settings or ())
         if self.connect is not None:
             keys[f"mavlink.vehicles.{self.uav}.connect"] = self.connect
         return scenario_with(self.scenario, keys).bridged()
@@ -69,13 +70,14 @@ def bridge(vehicle: Vehicle) -> None:
     """
     with ros.required(_INSTALL):
         from ptnsbc_nodes.bridge.process import serve_bridge
-    given: dict[str, str | int | bool | float | None] = {
-        "scenario_text": vehicle.flown().text,
-        "uav": vehicle.uav,
-        "signing_key": str(vehicle.signing_key or ""),
-        "allow_arming": vehicle.allow_arming,
-    }
-    sys.exit(serve_bridge(given, sys.argv[:1], managed=False))
+    code = serve_bridge(
+        vehicle.flown(),
+        vehicle.uav,
+        sys.argv[:1],
+        signing_key=vehicle.signing_key,
+        allow_arming=vehicle.allow_arming,
+    )
+    sys.exit(code)
 
 
 def tune(

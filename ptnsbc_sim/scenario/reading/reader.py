@@ -10,7 +10,7 @@ import json
 import os
 import re
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from functools import lru_cache, partial
 from pathlib import Path
@@ -249,6 +249,18 @@ def with_keys(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
             node = node[step] if isinstance(node, list) else node.setdefault(step, {})
         node[_step(node, keys[-1], path, source)] = value
     return tree
+
+
+def set_keys(settings: Iterable[str]) -> dict[str, Any]:
+    """The dotted keys of `--set KEY=VALUE`; values are read like the file, so that "5 s" means the same."""
+    given = {}
+    for text in settings:
+        key, found, value = text.partition("=")
+        key = key.strip()
+        if not found or not key:
+            raise ScenarioError(f'--set "{text}": expected KEY=VALUE')
+        given[key] = parse(f"value: {value}", f"--set {key}")["value"]
+    return given
 
 
 def plain(value: Any) -> Any:

@@ -104,7 +104,7 @@ NODE = textwrap.dedent(
 
     def body(arguments, argv):
         lifetime = ProcessLifetime()
-        with ros_context(argv), ros_node("spinner", "", parameters=[]) as node:
+        with ros_context(argv), ros_node("spinner", "") as node:
             node.create_timer(0.5, lambda: print("tick", flush=True))
             began = time.process_time()
             lifetime.serve([node], lambda: [Quiet()])
@@ -139,11 +139,12 @@ def test_a_node_waits_without_burning_the_processor(domain):
     ("arguments", "says"),
     [
         (("--ros-args", "--params-file", "nowhere.yaml"), "nowhere.yaml"),
-        (("--scenario", "paper_5", "--ros-args", "-r", "bad"), "bad"),
+        (("--ros-args", "-r", "bad"), "bad"),
+        (("--ros-args", "-p", "gains.profile:=reference"), "--set gains.profile=VALUE"),
     ],
 )
 def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, says):
-    process = start("uav.uav_main", *arguments)
+    process = start("uav.uav_main", "--scenario", "paper_5", "--uav", 3, *arguments)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out) == (2, "")
     assert err.startswith("uav: ") and says in err

@@ -172,9 +172,8 @@ def test_the_pace_is_flight_time_per_wall_time() -> None:
 
 def test_a_fleet_without_a_scenario_is_refused() -> None:
     with pytest.raises(PtnsbcError, match="expected one: ptnsbc view SCENARIO"):
-        scenario_of("", "")
-    assert scenario_of("", "paper_5").name == "paper_5"
-    assert scenario_of(SCENARIO.text, "").uav_ids == SCENARIO.uav_ids
+        scenario_of("")
+    assert scenario_of(SCENARIO.text).uav_ids == SCENARIO.uav_ids
 
 
 PERIOD_NS = 10_000_000

@@ -36,7 +36,7 @@ from launch_ros.actions import Node
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
 SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator", "wait")
-VALUES = ("backend", "namespace", "duration", "mission", "params_file")
+VALUES = ("backend", "namespace", "duration", "mission")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 VIEWED = ("/formation/markers", "/clock")
 
@@ -64,7 +64,6 @@ def generate_launch_description() -> LaunchDescription:
             argument("namespace", "", "of all nodes and topics: two fleets in one domain"),
             argument("duration", "", "length of the flight [s], instead of the scenario's"),
             argument("mission", "", "file with the legs to fly, instead of the scenario's"),
-            argument("params_file", "", "ROS parameter file with values of the scenario"),
             argument("set", "", "other keys of the scenario: 'KEY=VALUE KEY=VALUE'"),
             argument("record", "", "record into this folder"),
             flag("overwrite", "replace an existing recording"),

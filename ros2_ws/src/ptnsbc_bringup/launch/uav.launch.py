@@ -1,18 +1,18 @@
 """One UAV on its own computer: its controller, and the bridge to its flight controller if it has one.
 
-    ros2 launch ptnsbc_bringup uav.launch.py uav:=2 params:=paper_5.params.yaml
+    ros2 launch ptnsbc_bringup uav.launch.py uav:=2 scenario:=paper_5
     ros2 launch ptnsbc_bringup uav.launch.py uav:=2 scenario:=experiment_4 bridge:=true allow_arming:=true
 
 Both nodes activate themselves, and the formation starts when the leader is told to:
 
     ros2 service call /formation/start std_srvs/srv/Trigger
 
-The parameter file is made by `ptnsbc network params`; the same file serves on every computer of the fleet.
+Every computer of the fleet has the same scenario file, and is told the same values in set:=.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+import shlex
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -31,8 +31,12 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             argument("uav", description="id of this UAV"),
-            argument("params", default_value="", description="parameter file of the fleet"),
-            argument("scenario", default_value="", description="or a scenario file or name"),
+            argument("scenario", description="scenario file or name"),
+            argument(
+                "set",
+                default_value="",
+                description="other keys of the scenario: 'KEY=VALUE KEY=VALUE'",
+            ),
             argument(
                 "bridge",
                 default_value="false",
@@ -72,9 +76,9 @@ def uav(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     common = ["--recorded"] if told("recorded") == "true" else []
-    common += ["--uav", told("uav")]
-    if told("scenario"):
-        common += ["--scenario", told("scenario")]
+    common += ["--uav", told("uav"), "--scenario", told("scenario")]
+    for setting in shlex.split(told("set")):
+        common += ["--set", setting]
     if told("autostart") != "true":
         common.append("--managed")
     bridged = told("bridge") == "true"
@@ -86,14 +90,13 @@ def uav(context: LaunchContext) -> list[Node]:
 
 
 def _node(executable, arguments, told, **patience) -> Node:
-    params = [str(Path(told("params")).expanduser().absolute())] if told("params") else []
     return Node(
         package="ptnsbc_nodes",
         executable=executable,
         # Relative, so that a namespace around it moves the whole fleet.
         namespace=f"uav{told('uav')}",
         arguments=arguments,
-        parameters=[*params, {"use_sim_time": told("use_sim_time") == "true"}],
+        parameters=[{"use_sim_time": told("use_sim_time") == "true"}],
         additional_env=dict.fromkeys(ONE_THREAD, "1"),
         output="screen",
         **patience,
