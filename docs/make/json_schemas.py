@@ -21,6 +21,7 @@ from pydantic import BaseModel, TypeAdapter
 from ptnsbc_sim import sweep
 from ptnsbc_sim.scenario.fields import Block, Wave, unit_of
 from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.reading.places import PLACES, EarthPlace
 from ptnsbc_sim.sweep.family import Family
 from ptnsbc_sim.verdict.deadline import MET, MET_LATE, MISSED, VIOLATED, VOID
 from ptnsbc_sim.verdict.verdict import CUT_SHORT, Verdict
@@ -39,6 +40,10 @@ _FUNCTION = {
     "description": "A function of yours, with its arguments.",
     "properties": {"kind": {"type": "string", "pattern": r"^.+\.py:[A-Za-z_]\w*$"}},
     "required": ["kind"],
+}
+_EARTH = {
+    "description": "A place on the Earth: it becomes metres about mavlink.world_origin.",
+    **EarthPlace.model_json_schema(),
 }
 _WORD = {"enum": [MET, MET_LATE, MISSED, VIOLATED, VOID]}
 _OF = {"type": "integer"}
@@ -130,6 +135,10 @@ def _property(key: str, value: dict[str, Any], meaning: str) -> dict[str, Any]:
     choices = [one for one in inside.pop("anyOf", [inside]) if one != {"type": "null"}]
     discriminated = inside.get("oneOf")
     choices = list(discriminated) if discriminated else choices
+    if key in PLACES and choices[0].get("prefixItems"):
+        choices.append(_EARTH)
+    elif key in PLACES:
+        choices[0]["items"] = {"anyOf": [choices[0]["items"], _EARTH]}
     with_unit = [{"type": "string", "pattern": r"^\s*[-+.0-9]"}] if unit else []
     said = _LINK.sub(r"\1", meaning) + (f" [{unit}]" if unit else "")
     return {"description": said, **default, "anyOf": [*choices, *with_unit, {"type": "null"}]}

@@ -162,7 +162,6 @@ class Autopilot(NamedTuple):
     modes: Mapping[tuple[int, int], str]  # names by main and sub mode; `-`: none
     packed: bool  # custom_mode holds main in its third byte and sub in its fourth
     bytewise: bool  # of the integers among its parameters
-    earth_radius_m: float  # of its local projection
     stream_first: bool  # its mode needs setpoints before and during, and it takes off by one; else by NAV_TAKEOFF
     attitude_only: bool
     rates: Rates
@@ -213,7 +212,6 @@ PX4 = Autopilot(
     },
     packed=True,
     bytewise=True,
-    earth_radius_m=6371000.0,
     stream_first=True,
     attitude_only=False,
     rates=Rates.HEADING,
@@ -230,7 +228,6 @@ ARDUPILOT = Autopilot(
     modes={(n, 0): name for n, name in enumerate(_ARDUCOPTER.split())},
     packed=False,
     bytewise=False,
-    earth_radius_m=6378100.0,
     stream_first=False,
     attitude_only=False,
     rates=Rates.HEADING_BY_ALL,
@@ -246,7 +243,6 @@ GENERIC = Autopilot(
     modes={},
     packed=False,
     bytewise=False,
-    earth_radius_m=6371000.0,
     stream_first=True,
     attitude_only=True,
     rates=Rates.ALL,

@@ -15,6 +15,8 @@ import numpy as np
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.types import Array
 
+EARTH_RADIUS_M = {"px4": 6371000.0, "ardupilot": 6378100.0, "generic": 6371000.0}
+"""Of the local projection of each autopilot."""
 _HALF = math.sqrt(0.5)
 
 

@@ -46,7 +46,7 @@ class StatePublisher:
         alone: bool = False,
     ) -> None:
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
-        self.world = WorldFrame(scenario, uav_id, vehicle.autopilot.earth_radius_m, alone=alone)
+        self.world = WorldFrame(scenario, uav_id, alone=alone)
         self.controller = ControllerSetpoints(decode_wrench if attitude else decode_velocity)
         self._vehicle = vehicle
         self._sync = sync
@@ -250,25 +250,18 @@ class WorldFrame:
     on the ground at its start in the scenario. The leader's bridge publishes that place for the others.
     """
 
-    def __init__(
-        self, scenario: Scenario, uav_id: int, earth_radius_m: float, *, alone: bool = False
-    ) -> None:
+    def __init__(self, scenario: Scenario, uav_id: int, *, alone: bool = False) -> None:
         """`alone`: no leader flies; this vehicle defines the world by its own start."""
-        settings = scenario.mavlink
-        self._radius_m = earth_radius_m
+        settings, link = scenario.mavlink, scenario.vehicle_link(uav_id)
+        self._radius_m = frames.EARTH_RADIUS_M[link.autopilot]
         self._leads = alone or uav_id == scenario.leader.id
         self._on_ground = settings.height == "ground"
-        surveyed = scenario.vehicle_link(uav_id).origin_m
-        self._surveyed = None if surveyed is None else np.array(surveyed, dtype=np.float64)
+        self._surveyed = None if link.origin_m is None else np.array(link.origin_m)
         first = uav_id if alone else scenario.leader.id
         self._start = scenario.uav(first).position * np.array([1.0, 1.0, 0.0])
         given = settings.world_origin
         self._given = given is not None
-        self._reference = (
-            None
-            if given is None
-            else GeoPoint(given.latitude_deg, given.longitude_deg, given.altitude_m)
-        )
+        self._reference = None if given is None else given.place
         self._anchor: Anchor | None = None
         self._ground_z_m: float | None = None
         self._true_ground_m: float | None = None

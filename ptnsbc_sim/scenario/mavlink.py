@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_sim.scenario.fields import (
     Block,
     Count,
@@ -33,6 +34,11 @@ class WorldOrigin(Block):
     """Longitude, east is positive."""
     altitude_m: Number
     """Height above sea level."""
+
+    @property
+    def place(self) -> GeoPoint:
+        """The same as a point."""
+        return GeoPoint(self.latitude_deg, self.longitude_deg, self.altitude_m)
 
 
 class Geofence(Block):

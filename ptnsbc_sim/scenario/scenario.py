@@ -42,6 +42,7 @@ from ptnsbc_sim.scenario.reading.content import (
     with_table,
     without_folder,
 )
+from ptnsbc_sim.scenario.reading.places import with_places
 from ptnsbc_sim.scenario.semantics import checked
 
 _DEADLINE = "gains.formation.deadline_s"
@@ -223,7 +224,7 @@ def scenario_from_text(
         final = with_table(reader.overridden(final, given, source), source, Path.cwd())
         refuse_new_functions(final, given, source)
         final = with_code(final, Path.cwd(), given)
-    final = with_shape(final, source)
+    final = with_shape(with_places(final, source), source)
     file = validated(final, source)
     if math.isinf(file.gains.formation.deadline_s):
         first = replaced(file, {_DEADLINE: 1.0})

@@ -208,7 +208,7 @@ def _formation(file: ScenarioFile) -> Problems:
     for problem in trajectory_problems(file.leader.trajectory):
         yield problem.below("leader.trajectory")
     places = {f"uavs[{k}].position_m": uav.position_m for k, uav in enumerate(file.uavs)}
-    near = f"a place less than {LARGEST_POSITION_M:g} m from the origin, or no message can tell it: move the origin"
+    near = f"a place less than {LARGEST_POSITION_M:g} m from the origin: move it, or give lat, lon and alt"
     for key, place in {"leader.trajectory": first_place(file.leader.trajectory), **places}.items():
         yield from unless(math.hypot(*place) < LARGEST_POSITION_M, key, list(place), near)
 

@@ -16,6 +16,7 @@ from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
 from ptnsbc_io.cdr import Reader
 from ptnsbc_io.mavlink.frames import (
+    EARTH_RADIUS_M,
     GeoPoint,
     offset_enu,
     quaternion_ned_frd_to_enu_flu,
@@ -29,7 +30,6 @@ from ptnsbc_tools.options import UAV, ReadOptions, TopicPatternError
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _PX4 = "px4_msgs/msg/VehicleOdometry"
 _LONGEST_OFFSET_NS = 3600 * 10**9
-_EARTH_RADIUS_M = 6_371_000.0  # as PX4 has it
 _OF_UAV = re.compile(r"([0-9]{1,3})=(.+)")
 _BEFORE_UAV = re.compile(r",(?=[0-9]+=)")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?)"
@@ -78,13 +78,13 @@ def state_readers(options: ReadOptions, scenario: Scenario) -> dict[int, StateRe
     mapped = _by_uav("--map", options.mapped, scenario, "/cf231/pose, or /tf:cf231")
     origins = _by_uav("--origin", options.origins, scenario, "0,2.5,0, or 47.3977N,8.5456E,488")
     datum = scenario.mavlink.world_origin
-    reference = datum and GeoPoint(datum.latitude_deg, datum.longitude_deg, datum.altitude_m)
+    reference = datum and datum.place
     readers = {}
     for uav in scenario.uav_ids:
         place = _place(origins.get(uav, "0,0,0"))
         if isinstance(place, GeoPoint):
             reference = reference or place
-            place = offset_enu(place, reference, _EARTH_RADIUS_M)
+            place = offset_enu(place, reference, EARTH_RADIUS_M[scenario.mavlink.autopilot])
         name = mapped.get(uav, options.odom.replace(UAV, str(uav)))
         readers[uav] = StateReader(name, place, ned=options.frame == "ned")
     return readers

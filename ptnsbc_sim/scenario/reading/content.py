@@ -37,17 +37,23 @@ _READERS: Mapping[str, Callable[[str], object]] = {
 """Of the files of a trajectory, a shape and a stream; each raises ValueError with the row that does not fit."""
 
 
-def _tables(node: Any, key: str = "") -> Iterator[tuple[str, Tree]]:
-    """The trajectories, shapes and maps in files of their own below a node, by their dotted keys."""
+def blocks_below(node: Any, key: str = "") -> Iterator[tuple[str, Tree]]:
+    """Every mapping below a node, by its dotted key; a mapping comes before those in it."""
     if isinstance(node, list):
         for index, item in enumerate(node):
-            yield from _tables(item, f"{key}[{index}]")
+            yield from blocks_below(item, f"{key}[{index}]")
     elif isinstance(node, dict):
-        if node.get("kind") in ("csv", "file", "stream", "map") and node.get("file") is not None:
-            yield key, node
-            return
+        yield key, node
         for name, value in node.items():
-            yield from _tables(value, f"{key}.{name}" if key else str(name))
+            yield from blocks_below(value, f"{key}.{name}" if key else str(name))
+
+
+def _tables(tree: Tree) -> Iterator[tuple[str, Tree]]:
+    """The trajectories, shapes and maps in files of their own, by their dotted keys."""
+    for key, block in blocks_below(tree):
+        kind = block.get("kind")
+        if kind in ("csv", "file", "stream", "map") and block.get("file") is not None:
+            yield key, block
 
 
 def names_table(tree: Tree) -> str:

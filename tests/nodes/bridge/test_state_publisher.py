@@ -10,7 +10,7 @@ pytest.importorskip("pymavlink")
 from mavlink_wires import attitude, heartbeat, position
 
 from ptnsbc_io.mavlink.autopilots import PX4
-from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.mavlink.frames import EARTH_RADIUS_M, GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_io.wire import VelocityTemplate, decode_velocity
 from ptnsbc_nodes.bridge.ports import BridgePorts
@@ -70,12 +70,13 @@ def test_the_leader_stands_at_its_start_and_others_where_gps_says():
     assert leader.state((22, 1, -3.5)) == pytest.approx([0.1 + 1, 1.1 + 2, 3], abs=1e-3)
     assert leader.world.define_by_leader(np.array([9.0, 9.0, 9.0])) is None  # once
     assert place.latitude_deg - PLACE.latitude_deg == pytest.approx(
-        math.degrees(20.0 / PX4.earth_radius_m)
+        math.degrees(20.0 / EARTH_RADIUS_M["px4"])
     )
 
     other = Flown(2)
     away = PLACE._replace(
-        latitude_deg=PLACE.latitude_deg + math.degrees(30.0 / PX4.earth_radius_m), altitude_m=490.0
+        latitude_deg=PLACE.latitude_deg + math.degrees(30.0 / EARTH_RADIUS_M["px4"]),
+        altitude_m=490.0,
     )
     other.world.vehicle_at(Anchor(away, np.zeros(3)))
     assert other.state() is None
