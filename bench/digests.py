@@ -4,8 +4,8 @@
 `diff`. Every scenario is flown headless for 20 s with every plant, formation task and avoidance rule, and `paper_5`
 for 8 s by a fleet in lock-step. The file has one line for each headless flight and one for each topic of the fleet.
 
-`python -m bench.digests --bits SCENARIO` flies a scenario as processes in lock-step and headless, and compares every
-odometry, formation state, leader estimate and wrench, to the last bit.
+`python -m bench.digests --again 50 --beside 10` flies `paper_5` so often in lock-step, beside so many busy loops: all
+bags have the same bytes, however late a message is.
 """
 
 from __future__ import annotations
@@ -17,21 +17,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 from mcap.reader import make_reader
 
 from bench.session import print_progress
 from ptnsbc_core.tasks.table import TASKS
-from ptnsbc_io.bag import Bag, read_bag
-from ptnsbc_io.wire import decode_odometry, decode_wrench
-from ptnsbc_sim.scenario import scenario_from_text
-from ptnsbc_sim.swarm import fly
 
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
 PLANTS = ("quadrotor", "rigid_body_6dof")
@@ -86,33 +82,24 @@ def ptnsbc(root: Path, *words: str, bag: Path) -> int:
     return done.returncode
 
 
-def differing(bag: Bag) -> tuple[int, int]:
-    """Messages of a lock-step flight, and how many of them the headless flight of its scenario has differently."""
-    scenario = scenario_from_text((bag.attachment("scenario.yaml") or b"").decode())
-    track = fly(scenario).track
-    expected = {
-        "odom": (decode_odometry, track.odometry),
-        "formation_state": (decode_odometry, track.reported),
-        "leader_estimate": (decode_odometry, track.estimate),
-        "setpoint/wrench": (decode_wrench, track.wrench),
-    }
-    count = different = 0
-    for row, uav in enumerate(scenario.uav_ids):
-        for topic, (decode, values) in expected.items():
-            for message in bag.messages([f"/uav{uav}/{topic}"]):
-                stamp_ns, recorded = decode(message.data)
-                wanted = np.ascontiguousarray(values[stamp_ns // scenario.timing.dt_ns, row])
-                count += 1
-                different += recorded.tobytes() != wanted.tobytes()
-    return count, different
-
-
-def _compare(scenario: str, root: Path, folder: Path) -> int:
-    bag = folder / "bag"
-    ptnsbc(root, "fleet", scenario, "--lockstep", bag=bag)
-    count, different = differing(read_bag(bag))
-    print(f"{scenario}: {count} messages, {different} different")
-    return 0 if count and not different else 1
+def again(root: Path, folder: Path, seconds: float, times: int, beside: int) -> int:
+    """Fly the fleet in lock-step beside busy loops; 1 when two bags differ."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(beside)]
+    found, bag = Counter[str](), folder / "bag"  # its name is in the file
+    try:
+        for number in range(1, times + 1):
+            ptnsbc(root, "fleet", "paper_5", "--lockstep", "--duration", f"{seconds:g}", bag=bag)
+            files = b"".join(file.read_bytes() for file in sorted(bag.glob("*.mcap")))
+            found[hashlib.sha256(files).hexdigest()[:_DIGITS]] += 1
+            shutil.rmtree(bag)
+            print_progress(f"digests: {number} of {times} flights: {dict(found)}")
+    finally:
+        for loop in busy:
+            loop.kill()
+    print(
+        f"{times} flights beside {beside} busy loops: {len(found)} digest{'s'[len(found) == 1 :]}"
+    )
+    return int(len(found) > 1)
 
 
 def _lines(options: argparse.Namespace, folder: Path) -> Iterator[str]:
@@ -136,7 +123,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Write the digests of every flight."""
     parser = argparse.ArgumentParser(prog="bench.digests", description=__doc__)
     parser.add_argument("output", type=Path, nargs="?", metavar="OUT", help="text file to write")
-    parser.add_argument("--bits", metavar="SCENARIO", help="compare processes with headless")
+    parser.add_argument(
+        "--again", type=int, default=0, metavar="N", help="lock-step flights to compare"
+    )
+    parser.add_argument("--beside", type=int, default=0, metavar="K", help="busy loops beside them")
     parser.add_argument("--jobs", type=int, default=3, help="headless flights at a time")
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, metavar="SCENARIO")
     parser.add_argument("--seconds", type=float, default=20.0, help="of a headless flight")
@@ -148,10 +138,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     options.root = options.root.resolve()
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        if options.bits:
-            return _compare(options.bits, options.root, Path(name))
+        if options.again:
+            seconds, count = options.fleet_seconds, options.again
+            return again(options.root, Path(name), seconds, count, options.beside)
         if options.output is None:
-            parser.error("expected OUT, or --bits SCENARIO")
+            parser.error("expected OUT, or --again N")
         _write(options.output, _lines(options, Path(name)))
     return 0
 
