@@ -22,9 +22,9 @@ _METRES = {"m": 1.0, "metres": 1.0, "meters": 1.0, "cm": 0.01, "mm": 1e-3, "km":
 _RADIANS = {"rad": 1.0, "radians": 1.0} | dict.fromkeys(("deg", "degrees", "°"), math.pi / 180)
 _UNITS = {"t": _SECONDS, "yaw": _RADIANS} | dict.fromkeys("xyz", _METRES)
 _UNITS |= {f"v{axis}": {**_METRES, "s": 1.0} for axis in "xyz"}
-_ALIASES = {"t": {"t", "time", "timestamp"}} | {
-    axis: {axis, f"t{axis}"} for axis in "xyz"
-}  # TUM: tx
+_UNITS |= {f"q{axis}": {} for axis in "xyzw"}
+_ALIASES = {"t": {"t", "time", "timestamp"}, "yaw": {"yaw", "heading"}}
+_ALIASES |= {axis: {axis, f"t{axis}"} for axis in "xyz"}  # TUM: tx
 _BESIDE = {"pos", "position", "pose", "point", "enu"}  # words that change nothing
 _NAMES = _UNITS.keys() | set[str]().union(*_ALIASES.values())
 _WORD = re.compile(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+|°")
@@ -37,7 +37,7 @@ def read_table(
 
     Args:
         text: the table.
-        columns: names in their order, of `t x y z vx vy vz yaw`.
+        columns: names in their order, of `t x y z vx vy vz qx qy qz qw yaw` where the table may have names.
         optional: of the columns at the end: they are in all rows or in none.
         loose: rows without names may be longer, and numbers infinite or none.
 
@@ -69,6 +69,13 @@ def read_table(
             raise ValueError(f"row {at}: expected finite numbers")
         numbers.extend(row)
     return np.array(numbers).reshape(-1, len(picked) if width else len(columns))
+
+
+def head_of(text: str) -> tuple[int, set[str]]:
+    """The number of columns of a table, and the words of their names; a table of mere numbers has none."""
+    cells = next((cells for _, cells in _records(text)), [])
+    named = not any(map(_is_number, cells))
+    return len(cells), set[str]().union(*map(_words, cells)) if named else set()
 
 
 def _records(text: str) -> Iterator[tuple[int, list[str]]]:

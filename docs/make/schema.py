@@ -68,7 +68,7 @@ def _blocks(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _kind(block: type[BaseModel]) -> str:
-    (word,) = get_args(block.model_fields["kind"].annotation)
+    word, *_ = get_args(block.model_fields["kind"].annotation)
     return str(word)
 
 

@@ -39,8 +39,8 @@ from ptnsbc_sim.scenario.mission.trajectories import (
     AnyPath,
     Apart,
     Circle,
-    Csv,
     Lissajous,
+    PathFile,
     Route,
     Waypoints,
     trajectory_of,
@@ -187,7 +187,7 @@ def _nearest_turn(angle: float, to: float) -> float:
 
 def _follow(block: AnyPath, begin_s: float, from_s: float, until_s: float) -> list[_Knot]:
     """Knots on a trajectory, from `from_s` of its own time, which counts from `begin_s`, until `until_s`."""
-    curve, rough = trajectory_of(block), isinstance(block, Csv)
+    curve, rough = trajectory_of(block), isinstance(block, PathFile)
     rough = rough or (isinstance(block, Waypoints) and block.through == "cubic")
     times = _knot_times(block, curve, from_s, until_s - begin_s)
     at = curve_samples(curve, times)
@@ -210,7 +210,7 @@ def _knot_times(block: AnyPath, curve: Trajectory, first: float, last: float) ->
         laps = max(last // period + 1, 1) if period > 0.0 else 1
         _refuse_many(laps * len(ends))
         parts.append((np.arange(laps)[:, None] * period + ends[None]).ravel())
-        if isinstance(block, Waypoints | Csv) and block.heading == "path":
+        if isinstance(block, Waypoints | PathFile) and block.heading == "path":
             parts.append(_even(first, last, _HEADING_STEP_S))
     times = np.concatenate(parts)
     times = np.unique(times[(times >= first) & (times <= last)])

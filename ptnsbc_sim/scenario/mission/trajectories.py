@@ -26,9 +26,9 @@ from ptnsbc_core.types import (
     Array,
     Trajectory,
 )
-from ptnsbc_io.number_table import read_table
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
-from ptnsbc_sim.scenario.mission.pieces import WIDTH, curve_by, curve_of
+from ptnsbc_sim.scenario.mission.path_files import POLYNOMIALS, path_rows
+from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, curve_by, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
     Streamed,
@@ -39,9 +39,10 @@ from ptnsbc_sim.scenario.mission.stream import (
 from ptnsbc_sim.scenario.problems import Problem, Problems, unless
 
 MOST_POINTS = 2000
-"""Points of a curve at most, also rows of a CSV file."""
+"""Points of a curve at most, also rows of a file."""
 
 HeadingWord = Literal["fixed", "path"]
+Pace = Annotated[Number, Field(ge=1e-3, le=1e3)]
 Points = Annotated[tuple[Vec3, ...], Field(min_length=2, max_length=MOST_POINTS)]
 
 
@@ -112,7 +113,7 @@ class Waypoints(Block):
     times_s: tuple[NotNegative, ...] | None = None
     """Time of each point, from 0; of a closed curve also the time at which it is back at the first one. Give this or
     `speed_m_s`."""
-    speed_m_s: Annotated[Number, Field(ge=1e-3, le=1e3)] | None = None
+    speed_m_s: Pace | None = None
     """Mean speed from point to point along the straight line between them; of `straight` the largest one."""
     through: Literal["straight", "cubic", "minimum_snap"] = "minimum_snap"
     """`straight` goes in straight lines and rests at each point; `cubic` is a spline with continuous acceleration;
@@ -127,27 +128,36 @@ class Waypoints(Block):
     """`fixed` holds `yaw_rad`, `path` turns with the path."""
 
 
-class Csv(Block):
-    """Cubic spline through the rows t, x, y, z, yaw of a CSV file, which stays at the last of them."""
+class PathFile(Block):
+    """Path from a file, which stays at its end: a cubic spline through rows with times, `minimum_snap` through
+    waypoints, polynomials as they are.
+    """
 
-    kind: Literal["csv"]
+    kind: Literal["file", "csv"]
+    """`csv` is the same."""
     file: str | None = None
     """Name of the file, looked for beside the scenario; at most 2000 rows and 200 000 characters. It becomes `samples`
     when it is read, so that a bag holds it."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
-    """The content of such a file: rows t [s] from 0, x, y, z [m], yaw [rad], or names and units of the
-    columns in the first row."""
+    """The content of such a file: rows t [s] from 0, x, y, z [m], yaw [rad], or another form of
+    [bring_your_own.md](bring_your_own.md#trajectories)."""
+    speed_m_s: Pace | None = None
+    """Mean speed from point to point, of rows without times. Default: that of a plan."""
+    rate_hz: Pace | None = None
+    """Rate of rows without times, in the place of `speed_m_s`."""
+    drone: Annotated[int, Field(ge=1)] | None = None
+    """Number of the drone in a show, from 1. Default: the first."""
     yaw_rad: Number = 0.0
-    """Heading to hold where the rows have no fifth column."""
+    """Heading to hold where the file has none."""
     heading: HeadingWord = "fixed"
-    """Without a fifth column: `fixed` holds `yaw_rad`, `path` turns with the path."""
+    """Of a file without headings: `fixed` holds `yaw_rad`, `path` turns with the path."""
 
 
 TrajectoryBlock = Annotated[
-    Circle | Line | Hover | Lissajous | Waypoints | Csv, Field(discriminator="kind")
+    Circle | Line | Hover | Lissajous | Waypoints | PathFile, Field(discriminator="kind")
 ]
 LeaderTrajectoryBlock = Annotated[
-    Circle | Line | Hover | Lissajous | Waypoints | Csv | SetpointTrajectory,
+    Circle | Line | Hover | Lissajous | Waypoints | PathFile | SetpointTrajectory,
     Field(discriminator="kind"),
 ]
 
@@ -172,12 +182,13 @@ class Route:
 
 
 AnyPath: TypeAlias = (
-    Circle | Line | Hover | Lissajous | Waypoints | Csv | SetpointTrajectory | Route | Streamed
+    Circle | Line | Hover | Lissajous | Waypoints | PathFile | SetpointTrajectory | Route | Streamed
 )
 """A trajectory block, or the path that a leader has instead of one."""
 
 _TOP_RATE = 2.1875  # largest h_dot of h = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 _LEAST_GAP_S = 0.01
+_STILL_M, _GAP_M = 1e-6, 0.05  # points of one place; rounded coefficients leave millimetres
 _FARTHEST = 1e6  # [m], [s] and [rad] of what a curve goes through
 _STEP_S = 0.01  # between two samples of `extremes`, at most
 _MOST_STEPS = 50_000
@@ -190,19 +201,19 @@ def trajectory_problems(block: AnyPath) -> Problems:
         yield from stream_problems(block)
     if isinstance(block, Waypoints):
         yield from _waypoint_problems(block)
-    elif isinstance(block, Csv):
+    elif isinstance(block, PathFile):
         try:
-            samples_of(block.samples)
+            samples_of(block.samples, block.speed_m_s, block.rate_hz)
         except ValueError as error:
             yield Problem("samples", str(error), "")
             return
-    if isinstance(block, Waypoints | Csv):
+    if isinstance(block, Waypoints | PathFile):
         try:
             with np.errstate(all="ignore"):
                 finite = bool(np.isfinite(trajectory_of(block).table).all())
         except ValueError:  # of SciPy; LinAlgError is one
             finite = False
-        key = "samples" if isinstance(block, Csv) else "times_s"
+        key = "samples" if isinstance(block, PathFile) else "times_s"
         value = "no smooth curve goes through these points"
         yield from unless(finite, key, value, "times that are more even")
 
@@ -223,7 +234,7 @@ def _waypoint_problems(block: Waypoints) -> Problems:
         yield from unless(len(yaws) == size, "yaws_rad", value, expected)
     if times is None:
         for k, (point, other) in enumerate(pairwise(_lap(block))):
-            apart = np.linalg.norm(other - point) >= 1e-6
+            apart = np.linalg.norm(other - point) >= _STILL_M
             expected = "another point, or times_s"
             yield from unless(apart, f"points_m[{k}]", "the same as the next one", expected)
         return
@@ -247,27 +258,63 @@ def _not_ascending(times: Sequence[float]) -> int | None:
 
 
 @lru_cache(maxsize=4)
-def samples_of(text: str | None) -> Array:
-    """The rows t, x, y, z [m] and, in all or none, yaw [rad] of a CSV text.
+def samples_of(
+    text: str | None, speed_m_s: float | None = None, rate_hz: float | None = None
+) -> Array:
+    """The rows of the content of a file, as `path_files.path_rows` gives them.
 
     Raises:
         ValueError: a row that is none, in words that follow a key.
     """
     if text is None:
         raise ValueError("missing: expected file: NAME, or samples: with its content")
-    table = read_table(text, ("t", "x", "y", "z", "yaw"), optional=1)
-    if not 2 <= len(table) <= MOST_POINTS:
+    if speed_m_s is not None and rate_hz is not None:
+        raise ValueError("expected either speed_m_s or rate_hz")
+    table = path_rows(text, untimed=speed_m_s is not None, rate_hz=rate_hz)
+    polynomials = _are_polynomials(table)
+    if not 2 - polynomials <= len(table) <= MOST_POINTS:
         raise ValueError(
             f"{len(table)} rows: expected 2 to {MOST_POINTS}, {_LEAST_GAP_S:g} s apart or more"
         )
+    if polynomials:
+        _refuse_gaps(table)
+        return table
     if _too_far(table):
         raise ValueError(f"expected no number beyond {_FARTHEST:g}")
+    if speed_m_s is not None:
+        still = np.flatnonzero(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1) < _STILL_M)
+        if len(still):
+            raise ValueError(f"row {still[0] + 2} of numbers: expected another point than before")
+        return table
     wrong = _not_ascending(table[:, 0].tolist())
     if wrong is not None:
         raise ValueError(
-            f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: expected {_ASCENDING}"
+            f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: expected {_ASCENDING}; speed_m_s "
+            "or rate_hz of rows without times"
         )
     return table
+
+
+def _are_polynomials(table: Array) -> bool:
+    return table.shape[1] > len(POLYNOMIALS) // 2
+
+
+def _refuse_gaps(table: Array) -> None:
+    """ValueError unless the pieces of a table of polynomials are long enough, near, and follow each other."""
+    spans, coefficients = table[:, :1], table[:, 1:].reshape(len(table), -1, COEFFICIENTS)
+    with np.errstate(all="ignore"):
+        terms = coefficients * (spans ** np.arange(COEFFICIENTS))[:, None]
+        gaps = np.abs(terms[:-1].sum(axis=2) - coefficients[1:, :, 0])[:, :3].max(axis=1)
+    if (spans < _LEAST_GAP_S).any() or _too_far(spans.sum()) or _too_far(terms):
+        raise ValueError(
+            f"expected pieces of {_LEAST_GAP_S:g} s or more, and no number beyond {_FARTHEST:g}"
+        )
+    if wrong := np.flatnonzero(gaps > _GAP_M).tolist():
+        row = wrong[0]
+        raise ValueError(
+            f"row {row + 2} of numbers: begins {gaps[row]:.3g} m from the end of the one before: expected a path "
+            "without gaps"
+        )
 
 
 def trajectory_of(block: AnyPath) -> Trajectory:
@@ -300,17 +347,30 @@ def _curve_of(block: TrajectoryBlock | SetpointTrajectory) -> Trajectory:
         return curve_by(TRAJECTORY_LINE, *block.position_m, 0.0, 0.0, 0.0, block.yaw_rad)
     if isinstance(block, Lissajous):
         return _harmonic(block)
-    if isinstance(block, Csv):
-        table = samples_of(block.samples)
-        times, has_yaw = table[:, 0], table.shape[1] == 5
-        columns = [*table.T[1:4], np.unwrap(table[:, 4]) if has_yaw else np.zeros(len(times))]
+    return _of_file(block) if isinstance(block, PathFile) else _through_points(block)
+
+
+def _of_file(block: PathFile) -> Trajectory:
+    table = samples_of(block.samples, block.speed_m_s, block.rate_hz)
+    if block.speed_m_s is not None:
+        points, yaws = table[:, :3].tolist(), table[:, 3].tolist() if table.shape[1] > 3 else None
+        given = {"speed_m_s": block.speed_m_s, "yaw_rad": block.yaw_rad, "heading": block.heading}
+        return _through_points(Waypoints(kind="waypoints", points_m=points, yaws_rad=yaws, **given))
+    if _are_polynomials(table):
+        times = np.concatenate([[0.0], np.cumsum(table[:, 0])])
+        powers = table[:, 1:].reshape(len(table), -1, COEFFICIENTS)[:, :, ::-1]
+        pieces = list(powers.transpose(1, 0, 2))
+    else:
+        times = table[:, 0]
+        columns = [*table.T[1:4], *map(np.unwrap, table.T[4:])]
         pieces = [_pieces(times, column, "cubic_free", False) for column in columns]
-        heading = HEADING_TABLE if has_yaw else _heading_of(block)
-        return _piecewise(times, pieces, heading, 0.0, block.yaw_rad)
-    return _through_points(block)
+    if len(pieces) == CHANNELS:
+        return _piecewise(times, pieces, HEADING_TABLE, 0.0, block.yaw_rad)
+    pieces.append(np.zeros_like(pieces[0]))
+    return _piecewise(times, pieces, _heading_of(block), 0.0, block.yaw_rad)
 
 
-def _heading_of(block: Circle | Lissajous | Waypoints | Csv) -> int:
+def _heading_of(block: Circle | Lissajous | Waypoints | PathFile) -> int:
     return HEADING_PATH if block.heading == "path" else HEADING_FIXED
 
 

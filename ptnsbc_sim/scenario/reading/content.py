@@ -1,7 +1,7 @@
 """Content that a scenario names outside of its text: tables, maps, and functions of the user.
 
 All of it becomes data of the scenario when it is read: the content of a file `samples`, a trajectory of the user rows
-of a `csv` trajectory, a shape of the user offsets. So a flight, its processes, its bag and its re-run need neither the
+of a `file` trajectory, a shape of the user offsets. So a flight, its processes, its bag and its re-run need neither the
 file nor its rights, and nothing in a bag is executed. A kind that is neither ours nor FILE.py:NAME is looked for among
 the entry points of installed packages.
 """
@@ -22,19 +22,14 @@ from pydantic_core import PydanticCustomError
 from ptnsbc_io.point_cloud_file import PointCloudFileError
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, map_text
 from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, without_unit
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, unit_of, without_unit
+from ptnsbc_sim.scenario.mission.path_files import text_of
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
 from ptnsbc_sim.scenario.mission.stream import setpoints_of
 from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock, samples_of
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown
 
 _MOST_BYTES = 100_000_000  # of a file
-_READERS: Mapping[str, Callable[[str], object]] = {
-    "csv": samples_of,
-    "file": offsets_of,
-    "stream": setpoints_of,
-}
-"""Of the files of a trajectory, a shape and a stream; each raises ValueError with the row that does not fit."""
 
 
 def blocks_below(node: Any, key: str = "") -> Iterator[tuple[str, Tree]]:
@@ -72,10 +67,10 @@ def with_table(tree: Tree, source: str, folder: Path) -> Tree:
 
 
 def _samples_of(block: Tree, where: str, folder: Path) -> str:
-    """The content of the file of a block."""
+    """The content of the file of a block; a plan gives its speed to the block."""
     name, kind = block["file"], block["kind"]
     if not isinstance(name, str) or not name:
-        what = "map" if kind == "map" else "CSV file"
+        what = "map" if kind == "map" else "file"
         raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a {what}")
     path = folder / Path(name).expanduser()
     try:
@@ -87,16 +82,29 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
             key = f"{where}.resolution_m"
             edge_m = _quantity(block.get("resolution_m"), "m", key, FINEST_M, COARSEST_M)
             return map_text(path.suffix.lower(), data, edge_m)
-        text = data.decode("utf-8-sig").replace("\r\n", "\n")  # Excel begins a CSV file with a mark
+        text, speed = text_of(data, block.get("drone"))
         if len(text) > MOST_SAMPLES:
             raise ValueError(f"expected at most {MOST_SAMPLES} characters: leave rows out")
-        _READERS[kind](text)
+        if kind == "stream":
+            setpoints_of(text)
+        elif where.endswith("shape"):
+            offsets_of(text)
+        else:
+            block |= {"speed_m_s": speed} if speed and not block.get("speed_m_s") else {}
+            samples_of(text, *(_pace(block, key, where) for key in ("speed_m_s", "rate_hz")))
     except OSError as error:
         why = f"{error.strerror}: expected a readable file"
         raise ScenarioError(f"{where}.file: {path}: {why}") from None
     except (PointCloudFileError, ValueError) as error:
         raise ScenarioError(f"{where}.file: {path}: {error}") from None
     return text
+
+
+def _pace(block: Tree, key: str, where: str) -> float | None:
+    value = block.get(key)
+    return (
+        None if value is None else _quantity(value, unit_of(key) or "", f"{where}.{key}", 1e-3, 1e3)
+    )
 
 
 GROUP = "ptnsbc.plugins"
@@ -197,7 +205,7 @@ def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
     if len({len(row) for row in rows}) > 1:
         raise ScenarioError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
     text = "\n".join(",".join(f"{number:.12g}" for number in row) for row in rows)
-    trajectory = {"kind": "csv", "samples": text, **known}
+    trajectory = {"kind": "file", "samples": text, **known}
     return {
         **_with_whole_path(tree, folder),
         "leader": {**tree["leader"], "trajectory": trajectory},

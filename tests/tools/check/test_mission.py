@@ -152,7 +152,7 @@ def test_a_path_that_rests_has_no_heading() -> None:
 
 def test_a_file_that_ends_in_motion() -> None:
     rows = "0,0,5,8\n10,5,5,8\n20,10,5,8\n"
-    csv = {"kind": "csv", "samples": rows}
+    csv = {"kind": "file", "samples": rows}
     assert odd_of_trajectory(leader__trajectory=csv) == [("warning", "leader.trajectory")]
     assert odd_of_trajectory(leader__trajectory=csv, timing__duration_s=19) == []
 

@@ -195,7 +195,7 @@ def test_waypoints_that_are_none(change: dict[str, Any], words: str) -> None:
 )
 def test_rows_that_are_none(text: str, words: str) -> None:
     with pytest.raises(PtnsbcError, match=r"leader\.trajectory\.samples: " + words):
-        scenario(kind="csv", samples=text)
+        scenario(kind="file", samples=text)
 
 
 def test_a_table_that_does_not_fit_is_named_with_its_file_and_the_rule(tmp_path: Path) -> None:
@@ -212,21 +212,21 @@ def test_a_table_that_does_not_fit_is_named_with_its_file_and_the_rule(tmp_path:
     ):
         (tmp_path / "path.csv").write_text(text)
         with pytest.raises(PtnsbcError, match=r"trajectory\.file: .*path\.csv: " + words):
-            scenario(kind="csv", file=str(tmp_path / "path.csv"))
+            scenario(kind="file", file=str(tmp_path / "path.csv"))
 
 
 def test_a_table_of_100_hz_is_flown_whatever_its_times_round_to() -> None:
     text = "".join(f"{k / 100},{k / 100},0,6\n" for k in range(200))
-    assert curve_state(curve(kind="csv", samples=text), 1.5).position[0] == pytest.approx(1.5)
+    assert curve_state(curve(kind="file", samples=text), 1.5).position[0] == pytest.approx(1.5)
 
 
 def test_a_file_that_is_not_there() -> None:
     with pytest.raises(PtnsbcError, match=r"trajectory\.file: .*nowhere\.csv: No such file"):
-        scenario(kind="csv", file="nowhere.csv")
+        scenario(kind="file", file="nowhere.csv")
     with pytest.raises(PtnsbcError, match=r"trajectory\.file: 3: expected the name"):
-        scenario(kind="csv", file=3)
+        scenario(kind="file", file=3)
     with pytest.raises(PtnsbcError, match=r"trajectory\.samples: missing"):
-        scenario(kind="csv")
+        scenario(kind="file")
 
 
 def test_extremes_of_a_figure_of_eight() -> None:
@@ -246,7 +246,7 @@ def test_extremes_of_a_figure_of_eight() -> None:
 
 
 def test_a_file_that_ends_in_motion_jumps_to_rest() -> None:
-    path = scenario(kind="csv", samples=CSV).leader.trajectory
+    path = scenario(kind="file", samples=CSV).leader.trajectory
     assert extremes(path, 60.0).jump_m_s > 0.5
     assert extremes(path, 4.5).jump_m_s < 1e-6
 

@@ -77,7 +77,7 @@ def test_the_leader_follows_the_function(folder: Path) -> None:
         place = reference(curve, t).position
         wanted = (2.0 * np.sin(t / 5), 2.0 * np.cos(t / 5), 4.0)
         np.testing.assert_allclose(place, wanted, atol=2e-7)  # of a cubic spline, 0.1 s apart
-    assert own.leader.trajectory.kind == "csv"
+    assert own.leader.trajectory.kind == "file"
 
 
 def test_a_fourth_number_is_the_heading(folder: Path) -> None:
@@ -183,7 +183,7 @@ def test_an_installed_package_may_bring_one(folder: Path, monkeypatch: pytest.Mo
     own = scenario(
         folder, "leader: {trajectory: {kind: ring}}\n" + shape("x").replace("paths.py:x", "row")
     )
-    assert own.leader.trajectory.kind == "csv"
+    assert own.leader.trajectory.kind == "file"
     assert own.offset(3).tolist() == pytest.approx([-3.0, 0.0, 0.4])
     with pytest.raises(PtnsbcError, match=r"bad: ModuleNotFoundError: .*entry point that loads"):
         scenario(folder, "leader: {trajectory: {kind: bad}}\n")
