@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -45,7 +45,7 @@ def with_places(tree: Tree, source: str) -> Tree:
     )
 
 
-def _metres(mavlink: Tree, source: str, key: str, block: Tree) -> list[float]:
+def _metres(mavlink: Any, source: str, key: str, block: Tree) -> list[float]:
     """By the projection of the bridges: a vehicle that believes to be there is there."""
     given = mavlink.get("world_origin") if isinstance(mavlink, dict) else None
     if given is None:
