@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from itertools import pairwise
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 from zipfile import ZipFile
 
 import numpy as np
@@ -16,7 +16,6 @@ from pydantic import AliasPath, BaseModel, Field, FiniteFloat, ValidationError
 from ptnsbc_core.curves.trajectory import COEFFICIENTS
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array
-from ptnsbc_io.mavlink.frames import GeoPoint, offset_enu
 from ptnsbc_io.number_table import head_of, read_table
 
 FORMS = (
@@ -26,9 +25,11 @@ FORMS = (
 POLYNOMIALS = tuple(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(COEFFICIENTS))
 """Columns behind the duration of a piece; without a heading the first 24."""
 
+HOME = "plan_home"
+"""The key of the home of a plan, until the scenario is whole."""
+
 _POSES = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _MOST_BYTES = 20_000_000  # of a file in a show
-_EARTH_RADIUS_M = 6371000.0
 _WAYPOINT, _TAKEOFF = 16, 22
 _ABOVE_HOME, _ABOVE_SEA = (3, 6), (0, 5)  # frames
 
@@ -48,7 +49,7 @@ class _Plan(BaseModel):
     fileType: Literal["Plan"]
     speed: FiniteFloat = Field(validation_alias=AliasPath("mission", "hoverSpeed"))
     home: _Place = Field(validation_alias=AliasPath("mission", "plannedHomePosition"))
-    items: list[_Item] = Field(validation_alias=AliasPath("mission", "items"))
+    items: list[_Item] = Field(min_length=2, validation_alias=AliasPath("mission", "items"))
 
 
 class _Path(BaseModel):
@@ -64,8 +65,8 @@ class _Show(BaseModel):
     drones: list[_Drone] = Field(validation_alias=AliasPath("swarm", "drones"))
 
 
-def text_of(data: bytes, drone: object = None) -> tuple[str, float | None]:
-    """The table in a file, and the speed that the file asks for [m/s].
+def text_of(data: bytes, drone: object = None) -> str:
+    """The table in a file, or the text of a plan.
 
     Args:
         data: content of the file.
@@ -75,14 +76,13 @@ def text_of(data: bytes, drone: object = None) -> tuple[str, float | None]:
         ValueError: the file is none that is known, in words that follow its name.
     """
     if data.startswith(b"PK"):
-        return _show_text(data, 1 if drone is None else drone), None
+        return _show_text(data, 1 if drone is None else drone)
     if drone is not None:
         raise ValueError("drone: expected no number, only a .skyc of Skybrush has several")
     try:
-        text = data.decode("utf-8-sig").replace("\r\n", "\n")
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise ValueError(f"byte {error.start} is no text: expected {FORMS}") from None
-    return _plan_text(text) if text.lstrip().startswith("{") else (text, None)
 
 
 def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None) -> Array:
@@ -133,10 +133,13 @@ def _read(model: type[_Model], data: str | bytes) -> _Model:
         raise ValueError(f"{where}: {first['msg']}: expected {FORMS}") from None
 
 
-def _plan_text(text: str) -> tuple[str, float]:
-    """The waypoints of a plan, east, north and up from its home [m], and its speed [m/s]."""
-    plan = _read(_Plan, text)
-    home, rows = GeoPoint(*plan.home), ["x,y,z"]
+def waypoints_of(plan_text: str) -> dict[str, Any]:
+    """The keys of a trajectory through the places of a plan, and the home from which their heights count.
+
+    Raises:
+        ValueError: the text is no plan, or one with other items than places, in words that follow the name of a file.
+    """
+    plan, places = _read(_Plan, plan_text), []
     for index, item in enumerate(plan.items):
         numbers = [number or 0.0 for number in item.params]
         known = item.command in (_WAYPOINT, _TAKEOFF) and item.frame in _ABOVE_HOME + _ABOVE_SEA
@@ -146,15 +149,12 @@ def _plan_text(text: str) -> tuple[str, float]:
                 f"mission.items[{index}]: {what}: expected a take-off (22) or a waypoint (16) without a hold, at a "
                 "height above home (frame 3) or the sea (0)"
             )
-        place = GeoPoint(*numbers[4:])
-        if item.command == _TAKEOFF and not any(place[:2]):
-            place = home._replace(altitude_m=place.altitude_m)
-        if item.frame in _ABOVE_HOME:
-            place = place._replace(altitude_m=place.altitude_m + home.altitude_m)
-        rows.append(
-            ",".join(f"{metres:.4f}" for metres in offset_enu(place, home, _EARTH_RADIUS_M))
-        )
-    return "\n".join(rows) + "\n", plan.speed
+        here = item.command == _TAKEOFF and not any(numbers[4:6])
+        lat, lon = plan.home[:2] if here else numbers[4:6]
+        base = plan.home[2] if item.frame in _ABOVE_HOME else 0.0
+        places.append({"lat": lat, "lon": lon, "alt": base + numbers[6]})
+    home = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), plan.home, strict=True))
+    return {"kind": "waypoints", "points_m": places, "speed_m_s": plan.speed, HOME: home}
 
 
 def _show_text(data: bytes, drone: object) -> str:

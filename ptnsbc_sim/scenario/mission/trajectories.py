@@ -142,7 +142,7 @@ class PathFile(Block):
     """The content of such a file: rows t [s] from 0, x, y, z [m], yaw [rad], or another form of
     [bring_your_own.md](bring_your_own.md#trajectories)."""
     speed_m_s: Pace | None = None
-    """Mean speed from point to point, of rows without times. Default: that of a plan."""
+    """Mean speed from point to point, of rows without times."""
     rate_hz: Pace | None = None
     """Rate of rows without times, in the place of `speed_m_s`."""
     drone: Annotated[int, Field(ge=1)] | None = None

@@ -23,7 +23,7 @@ from ptnsbc_io.point_cloud_file import PointCloudFileError
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, map_text
 from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, unit_of, without_unit
-from ptnsbc_sim.scenario.mission.path_files import text_of
+from ptnsbc_sim.scenario.mission.path_files import text_of, waypoints_of
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
 from ptnsbc_sim.scenario.mission.stream import setpoints_of
 from ptnsbc_sim.scenario.mission.trajectories import MOST_POINTS, LeaderTrajectoryBlock, samples_of
@@ -61,13 +61,13 @@ def with_table(tree: Tree, source: str, folder: Path) -> Tree:
     if names_table(tree):
         tree = copy.deepcopy(tree)
         for key, block in list(_tables(tree)):
-            block["samples"] = _samples_of(block, f"{source}: {key}", folder)
+            block |= _content_of(block, f"{source}: {key}", folder)
             del block["file"]
     return tree
 
 
-def _samples_of(block: Tree, where: str, folder: Path) -> str:
-    """The content of the file of a block; a plan gives its speed to the block."""
+def _content_of(block: Tree, where: str, folder: Path) -> Tree:
+    """The keys that the file of a block gives to it."""
     name, kind = block["file"], block["kind"]
     if not isinstance(name, str) or not name:
         what = "map" if kind == "map" else "file"
@@ -81,23 +81,25 @@ def _samples_of(block: Tree, where: str, folder: Path) -> str:
         if kind == "map":
             key = f"{where}.resolution_m"
             edge_m = _quantity(block.get("resolution_m"), "m", key, FINEST_M, COARSEST_M)
-            return map_text(path.suffix.lower(), data, edge_m)
-        text, speed = text_of(data, block.get("drone"))
+            return {"samples": map_text(path.suffix.lower(), data, edge_m)}
+        text = text_of(data, block.get("drone"))
         if len(text) > MOST_SAMPLES:
             raise ValueError(f"expected at most {MOST_SAMPLES} characters: leave rows out")
         if kind == "stream":
             setpoints_of(text)
         elif where.endswith("shape"):
             offsets_of(text)
+        elif text.lstrip().startswith("{"):
+            found = waypoints_of(text)
+            return {**found, "speed_m_s": block.get("speed_m_s") or found["speed_m_s"]}
         else:
-            block |= {"speed_m_s": speed} if speed and not block.get("speed_m_s") else {}
             samples_of(text, *(_pace(block, key, where) for key in ("speed_m_s", "rate_hz")))
     except OSError as error:
         why = f"{error.strerror}: expected a readable file"
         raise ScenarioError(f"{where}.file: {path}: {why}") from None
     except (PointCloudFileError, ValueError) as error:
         raise ScenarioError(f"{where}.file: {path}: {error}") from None
-    return text
+    return {"samples": text}
 
 
 def _pace(block: Tree, key: str, where: str) -> float | None:

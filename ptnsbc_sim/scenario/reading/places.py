@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
@@ -9,9 +10,10 @@ from pydantic import Field, ValidationError
 from ptnsbc_io.mavlink.frames import EARTH_RADIUS_M, GeoPoint, offset_enu
 from ptnsbc_sim.scenario.fields import Block, Number
 from ptnsbc_sim.scenario.mavlink import WorldOrigin
+from ptnsbc_sim.scenario.mission.path_files import HOME
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error, shown
 from ptnsbc_sim.scenario.reading.content import blocks_below
-from ptnsbc_sim.scenario.reading.reader import overridden
+from ptnsbc_sim.scenario.reading.reader import merged, overridden
 
 PLACES = ("position_m", "centre_m", "points_m")
 """The keys of places, in metres or on the Earth."""
@@ -28,6 +30,8 @@ class EarthPlace(Block):
 def with_places(tree: Tree, source: str) -> Tree:
     """`tree`, which is whole, with x, y, z [m] in the place of `{lat, lon, alt}`.
 
+    The home of a plan is the origin of a scenario that has none.
+
     Raises:
         ScenarioError: a place is none, or the scenario has no origin.
     """
@@ -39,6 +43,9 @@ def with_places(tree: Tree, source: str) -> Tree:
     }
     if not places:
         return tree
+    tree = copy.deepcopy(tree)
+    for home in [block.pop(HOME) for _, block in blocks_below(tree) if HOME in block]:
+        tree = merged({"mavlink": {"world_origin": home}}, tree)
     mavlink = tree.get("mavlink") or {}
     return overridden(
         tree, {key: _metres(mavlink, source, key, block) for key, block in places.items()}, source

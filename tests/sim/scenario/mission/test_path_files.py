@@ -18,7 +18,7 @@ from ptnsbc_core.curves.trajectory import curve_samples, reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_sim.scenario.mission.path_files import path_rows, text_of
+from ptnsbc_sim.scenario.mission.path_files import path_rows, text_of, waypoints_of
 
 SQUARE = [[0, 0, 8], [4, 0, 8], [4, 3, 9], [0, 3, 8]]
 NAMES = ",".join(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(8))
@@ -163,8 +163,21 @@ def test_a_plan_of_qgroundcontrol_is_flown_about_its_home(tmp_path: Path) -> Non
     assert times[1] == pytest.approx(north / 2.5, rel=1e-4)
     slower = curve(tmp_path, text, speed_m_s=1.0)
     assert slower.table[1, 0] == pytest.approx(north, rel=1e-4)
+    assert own.mavlink.world_origin.place == tuple(HOME)
     again = scenario_from_text(own.text, complete=True)
     assert leader_trajectory(again).table.tobytes() == path.table.tobytes()
+
+
+def test_a_plan_stays_where_it_is_on_the_earth(tmp_path: Path) -> None:
+    (tmp_path / "a.plan").write_text(plan(item(0, 0, 10), item(1e-4, 0, 10)))
+    origin = {"latitude_deg": HOME[0] + 1e-4, "longitude_deg": HOME[1], "altitude_m": HOME[2] - 5}
+    block = {"kind": "file", "file": str(tmp_path / "a.plan")}
+    given = {"leader.trajectory": block, "mavlink.world_origin": origin}
+    own = load_scenario("paper_5_free", given)
+    places = curve_samples(leader_trajectory(own), np.array([0.0, 99.0]))[:, :3]
+    south = np.radians(-1e-4) * 6371000
+    np.testing.assert_allclose(places, [[0, south, 15], [0, 0, 15]], atol=1e-3)
+    assert own.mavlink.world_origin.place[0] == origin["latitude_deg"]
 
 
 @pytest.mark.parametrize(
@@ -187,11 +200,11 @@ def test_a_plan_of_qgroundcontrol_is_flown_about_its_home(tmp_path: Path) -> Non
         ("{}", {}, "fileType: Field required: expected rows .* a .plan of QGroundControl"),
         ('{"fileType": "GeoFence"}', {}, "fileType: Input should be 'Plan'"),
         (plan(item(0, 0, 9), item(0, 0, 9, command=20)), {}, r"items\[1\]: command 20 in frame 3: exp"),
-        (plan(item(0, 0, 9, complexItemType="survey")), {}, r"items\[0\]: survey: expected a take-off"),
-        (plan(item(0, 0, 9, params=[5, 0, 0, 0, *HOME])), {}, r"items\[0\]: .* without a hold"),
-        (plan(item(0, 0, 9, frame=10)), {}, "frame 10: expected .* a height above home"),
-        (plan(item(0, 0, 9)), {}, "1 rows: expected 2"),
-        (plan(item(0, 0, 9), hoverSpeed="fast"), {}, r"mission\.hoverSpeed: Input should be a valid"),
+        (plan(item(0, 0, 9, complexItemType="survey"), {}), {}, r"items\[0\]: survey: expected a take-off"),
+        (plan(item(0, 0, 9, params=[5, 0, 0, 0, *HOME]), {}), {}, r"items\[0\]: .* without a hold"),
+        (plan(item(0, 0, 9, frame=10), {}), {}, "frame 10: expected .* a height above home"),
+        (plan(item(0, 0, 9)), {}, r"mission\.items: List should have at least 2"),
+        (plan(item(0, 0, 9), {}, hoverSpeed="fast"), {}, r"mission\.hoverSpeed: Input should be a valid"),
         (b"PK\3\4 no zip", {}, "BadZipFile.*expected rows"),
         (skyc(drone([0, [0, 0, 8], []], [0, [1, 0, 8], []])), {}, r"points\[1\]: 0 s: expected times"),
         (skyc(drone([0, [0, 0, 8]], [1, [1, 0, 8]])), {}, r"trajectory\.points\.0\.2: Field required"),
@@ -211,6 +224,7 @@ def test_what_is_no_path_is_refused_with_words(
 @given(st.binary(max_size=200), st.sampled_from([b"", b"PK", b"{", b"0,0,8\n", b"# t x y z\n"]))
 def test_bytes_are_a_path_or_an_error_in_words(data: bytes, head: bytes) -> None:
     try:
-        path_rows(text_of(head + data)[0])
+        text = text_of(head + data)
+        waypoints_of(text) if text.startswith("{") else path_rows(text)
     except ValueError as error:
         assert str(error)
