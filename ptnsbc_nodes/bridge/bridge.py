@@ -107,6 +107,15 @@ class Bridge:
         )
 
     @property
+    def objection(self) -> str:
+        """The reason why its vehicle must not be armed as it stands there; empty without one, and from arming on."""
+        if self.procedure.step not in BEFORE_ARMING:
+            return ""
+        low = self.vehicle.battery.low(self._mavlink.battery_land_percent, self.ports.steady_s())
+        inexact = "" if self._alone else self.placement.inexact()
+        return low or inexact or self.placement.misplaced()
+
+    @property
     def fate(self) -> str:
         """The behaviour of the armed vehicle when this bridge is silent."""
         on_ground = "it stands on the ground, its rotors turn"
@@ -216,9 +225,8 @@ class Bridge:
         odometry, now_ns = publisher.odometry, self.ports.ros_ns()
         leg, leaves = self.watch.reference.leg(now_ns), self.watch.reference.leaves(now_ns)
         order, told_apart = inputs.order, inputs.order.what == APART
-        rival_s, percent = self.link.duplicate_sysid_s, self._mavlink.battery_land_percent
-        low = f"battery at {vehicle.battery.newest.percent or 0.0:.0f} %, below {percent:g}"
-        unhealthy = "" if vehicle.armed or not vehicle.unhealthy else vehicle.unhealthy
+        rival_s = self.link.duplicate_sysid_s
+        unhealthy = "" if vehicle.armed else vehicle.unhealthy
         words = (
             maintenance.commands.refused,
             vehicle.warning,
@@ -245,7 +253,7 @@ class Bridge:
             unprepared="" if odometry is None else self.stream.unprepared(odometry),
             leg=None if leg is None else leg.name,
             leaves=leaves,
-            battery_low=low if vehicle.battery.below(percent, now_s) else "",
+            battery_low=vehicle.battery.low(self._mavlink.battery_land_percent, now_s),
             fence_breach=self.watch.fence_breach(),
             rebooted=vehicle.rebooted,
             duplicate_sysid=vehicle.pose.clock.jumps_to_and_fro(now_s)
@@ -257,7 +265,7 @@ class Bridge:
             pilots_too=order.pilots_too,
             unfit=self.stream.fit.unfit,
             unready=vehicle.unready,
-            misplaced=placement.misplaced() if before_arming else "",
+            misplaced=self.objection,
             not_ready=placement.not_ready(now_s),
             not_armed=placement.not_armed(now_s),
             climbs_first=placement.climbs_first() if before_arming or step is Step.ARMED else "",

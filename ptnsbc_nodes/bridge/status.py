@@ -166,6 +166,7 @@ def bridge_status(
         **readiness(missing),
         SAFETY: safety.state.text,
         **record.status,
+        "objection": bridge.objection,
         "position_m": " ".join(map("{:.3f}".format, report.position or ())),
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",

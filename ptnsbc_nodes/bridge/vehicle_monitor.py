@@ -261,11 +261,11 @@ class BatteryMonitor:
         self.newest = Battery()
         self._low = Lasting()
 
-    def below(self, percent: float, now_s: float) -> bool:
-        """True if the charge has been below `percent` for some seconds."""
+    def low(self, percent: float, now_s: float) -> str:
+        """The charge in words if it has been below `percent` for some seconds; empty otherwise."""
         left = self.newest.percent
-        low = left is not None and left < percent
-        return self._low.update(low, now_s) >= _LOW_BATTERY_S
+        low_s = self._low.update(left is not None and left < percent, now_s)
+        return f"battery at {left:.0f} %, below {percent:g}" if low_s >= _LOW_BATTERY_S else ""
 
     def on_status(self, message: Any) -> None:
         """SYS_STATUS, in which -1 and the largest voltage stand for a figure that is not known."""

@@ -117,6 +117,7 @@ class FleetStatus:
         self.active: set[str] = set()  # processes whose nodes are active
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge
         self.places: dict[str, tuple[float, ...]] = {}  # by bridge, measured (3,) [m], ENU
+        self.objections: dict[str, str] = {}  # by bridge, to arming its vehicle; empty without one
         self.last_s: dict[str, float] = {}  # by process the time of its last status, monotonic
         self._wait = LockstepWait()
         self._node = node
@@ -158,6 +159,7 @@ class FleetStatus:
                 self._wait.reported(now_s, waits_for.split(", ") if waits_for else [])
             if "order" in values:
                 self.vehicles[name] = reported(name, values)
+                self.objections[name] = values.get("objection", "")
                 with suppress(ValueError):
                     place = tuple(map(float, values.get("position_m", "").split()))
                     if len(place) == 3 and all(map(math.isfinite, place)):

@@ -21,12 +21,10 @@ from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand, end
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.runtime.signals import StopRequest
-from ptnsbc_sim.sweep.dry_run import START_M, with_starts_at
+from ptnsbc_sim.sweep.dry_run import with_starts_at
 
 Report = Callable[[str], None]
 
-SAME_M = 3 * START_M
-"""Vehicles that are so near to where the flight was judged are not judged again: dry runs move starts that much."""
 _UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
 _LOOK_S = 0.05
 _REMINDER_S = 10.0
@@ -86,11 +84,11 @@ class TakeOff:
         while check.holds and check.lost() and self._wait(deadline):
             pass
         if check.holds and not self._stop.came:
+            began_s = time.monotonic()
             if objection := check.before_arming():
                 raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
             if self._options.objection is not None:
                 self._progress("dry runs from where the vehicles stand are met: they may arm")
-            began_s = time.monotonic()
             if self._options.wait:
                 self._progress("the vehicles arm when an operator calls /formation/arm")
                 while not check.may_arm and self._wait(math.inf):
@@ -99,8 +97,6 @@ class TakeOff:
             check.release()
         while self._missing() and self._wait(deadline):
             pass
-        if not self._stop.came and (objection := check.before_start()):
-            raise FleetError(f"from the measured positions the flight is not started: {objection}")
         self._begin(deadline)
         if not self._stop.came:
             count = len(self._crew.children) + len(self._options.elsewhere)
@@ -186,17 +182,16 @@ class TakeOff:
 
 
 class FlightCheck:
-    """The check of a flight from where its vehicles are: before anything arms, and again before it begins.
+    """The check of a flight from where its vehicles are, once, before anything arms.
 
     No vehicle arms before its UAV process is active. The launcher keeps these processes inactive until all bridges
-    know where their vehicles stand, and a flight from there, at the take-off height, is not refused. The checks are
-    those of `FleetOptions.objection`; each returns why the flight must not begin, or nothing.
+    know where their vehicles stand, none of them objects, and a flight from there, at the take-off height, is not
+    refused by `FleetOptions.objection`.
     """
 
     def __init__(self, options: FleetOptions, node: LauncherNode) -> None:
         self.may_arm = False  # an operator has called /formation/arm, and it was accepted
         self._options, self._node = options, node
-        self._judged: dict[int, tuple[float, ...]] = {}  # places from which it may begin
         self._met = False  # nothing speaks against arming
         if (options.objection is not None or options.wait) and options.backend == "mavlink":
             node.lifecycle.held.update(f"uav{uav}" for uav in options.scenario.uav_ids)
@@ -245,29 +240,20 @@ class FlightCheck:
 
     def before_arming(self) -> str:
         """Judge the flight from above where the vehicles stand; without an objection they may be released."""
+        status, starts = self._node.status, dict[int, tuple[float, ...]]()
+        if told := [f"{name}: {text}" for name, text in status.objections.items() if text]:
+            return "; ".join(told)
         for uav in self._options.scenario.uav_ids:
             name = f"bridge{uav}"
-            x, y, z = self._node.status.places[name]
+            x, y, z = status.places[name]
             # It may be airborne already, in a pilot's hands.
-            vehicle, height_m = self._node.status.vehicles[name], 0.0
+            vehicle, height_m = status.vehicles[name], 0.0
             if vehicle.landed or not vehicle.armed:
                 height_m = self._options.scenario.mavlink.takeoff_height_m
-            self._judged[uav] = (x, y, z + height_m)
-        objection = self._objection(self._judged)
+            starts[uav] = (x, y, z + height_m)
+        objection = self._objection(starts)
         self._met = not objection
         return objection
-
-    def before_start(self) -> str:
-        """Judge the flight from where the vehicles are; simulated ones are where the file says."""
-        options, known = self._options, self._node.status.places
-        if options.objection is None or options.backend == "sim":
-            return ""
-        names = {uav: f"bridge{uav}" for uav in options.scenario.uav_ids}
-        places = {uav: known[name] for uav, name in names.items() if name in known}
-        same = places.keys() == self._judged.keys() and all(
-            math.dist(place, self._judged[uav]) <= SAME_M for uav, place in places.items()
-        )
-        return "" if same else self._objection(places)
 
     def lost(self) -> list[str]:
         """Bridges that do not know where their vehicle is."""

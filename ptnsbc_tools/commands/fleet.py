@@ -122,8 +122,8 @@ def fleet(
         bool | None,
         option(
             "--check/--no-check",
-            "Fly dry runs before anything starts, and from the measured positions before anything arms and before "
-            "the flight. Default: with real vehicles.",
+            "Fly dry runs before anything starts; of real vehicles from where they stand, before anything arms. "
+            "Default: with real vehicles.",
         ),
     ] = None,
     *,
@@ -166,7 +166,7 @@ def fly_and_judge(
 ) -> int:
     """Fly with one process per UAV and judge the bag; returns the exit code.
 
-    Without a bag in `parts` the recording is temporary. `check` flies dry runs first, and refuses what they refuse;
+    Without a bag in `parts` the recording is temporary. `check` flies dry runs, and refuses what they refuse;
     None does so with flight controllers. `picture` is a PNG to draw.
     """
     bridged = parts.backend == "mavlink"
@@ -184,8 +184,8 @@ def fly_and_judge(
     if request.leads and (bridged if check is None else check):
         from ptnsbc_tools.check import dry_run
 
-        # After the dry runs from the positions of the file, those from the measured ones.
-        dry_run.flown(scenario).refuse()
+        if not bridged or request.shared:  # other computers may arm before the vehicles are known
+            dry_run.flown(scenario).refuse()
         request = replace(request, objection=_objection)
     with ExitStack() as stack:
         viewer = _viewer(request, views, showing.json)

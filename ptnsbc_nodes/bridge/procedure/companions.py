@@ -93,6 +93,22 @@ class Placement:
             "" if odometry is None else "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3].tolist())
         )
 
+    def inexact(self) -> str:
+        """The reason why its position is not known well enough for the scenario; empty when it is."""
+        others = set(self._scenario.uav_ids) - {self._uav_id}
+        keep_outs_m = (self._scenario.keep_out_between(self._uav_id, uav) for uav in others)
+        keep_out_m = min(keep_outs_m, default=math.inf)
+        # Of two that keep their distance one more error must fit in before the formation is given up.
+        room_m = (1.0 - self._mavlink.abort.separation_share) * keep_out_m / math.sqrt(2.0)
+        tolerance_m = self._scenario.formation.tolerance_m
+        if self.error_m <= min(tolerance_m, room_m):
+            return ""
+        return (
+            f"its position is known to {self.error_m:.2f} m: expected at most {min(tolerance_m, room_m):.2f} m, for "
+            f"formation.tolerance_m {tolerance_m:g} and a keep-out of {keep_out_m:g} m: a scenario for this receiver, "
+            "or a better one (docs/positioning.md)"
+        )
+
     def misplaced(self) -> str:
         """The reason why the vehicle may not arm where it stands: by the scenario, and by the others."""
         position = self.position

@@ -16,6 +16,7 @@ from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_sim.verdict.deadline import MET
 
 PLUGINS = Path(__file__).parents[3] / "examples" / "plugins"
 ABOVE_M = 0.5
@@ -266,6 +267,26 @@ def test_vehicles_at_one_place_are_not_armed(tmp_path):
     faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
     assert any("m from the vehicle of bridge" in fault for fault in faults)
     assert not any(uav.vehicle.armed or uav.vehicle.lifted for uav in fleet.uavs.values())
+
+
+def test_plain_gnss_is_refused_by_the_scenario_for_rtk_before_anything_arms():
+    fleet = MavlinkFleet(scenario(), gnss="plain", count=2)
+    fleet.run(60.0, until=lambda: all(uav.step is Step.FAILED for uav in fleet.uavs.values()))
+    for uav in fleet.uavs.values():
+        assert not uav.vehicle.armed
+    faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
+    assert any("known to 0.45 m: expected at most 0.14 m" in fault for fault in faults), faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+def test_plain_gnss_flies_the_scenario_that_is_made_for_it(kind):
+    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 25}
+    fleet = MavlinkFleet(load_scenario("field_gnss_4", changes).bridged(), kind, gnss="plain")
+    fleet.airborne().form().run(25.5)
+    fleet.land()
+    assert [uav.bridge.procedure.fault for uav in fleet.uavs.values()] == [""] * 4
+    assert verdict_on(fleet.recording()).verdict == MET
 
 
 @pytest.mark.parametrize("count", [1, 2])

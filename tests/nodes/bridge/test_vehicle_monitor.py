@@ -241,9 +241,9 @@ def test_gps_battery_landing_and_texts():
     assert vehicle.gnss.fix_lost(12.0)
     status = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 15, 0, 0, 0, 0, 0, 0)
     vehicle.on_message(status, 0.0)
-    assert not vehicle.battery.below(20.0, 0.0)  # one reading may be a dip
-    assert vehicle.battery.below(20.0, 3.5)
-    assert not vehicle.battery.below(10.0, 4.0)
+    assert not vehicle.battery.low(20.0, 0.0)  # one reading may be a dip
+    assert vehicle.battery.low(20.0, 3.5)
+    assert not vehicle.battery.low(10.0, 4.0)
     assert vehicle.battery.newest == (None, 0.0, 15.0)
     unknown = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_800, 1_234, -1, 0, 0, 0, 0, 0, 0)
     vehicle.on_message(unknown, 4.0)

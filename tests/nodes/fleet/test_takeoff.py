@@ -11,7 +11,7 @@ pytest.importorskip("pymavlink")
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.fleet import child_process, takeoff
 from ptnsbc_nodes.fleet.child_process import Crew, FleetOptions, ProcessCommand
-from ptnsbc_nodes.fleet.takeoff import SAME_M, FleetError, FlightCheck, Launch, TakeOff
+from ptnsbc_nodes.fleet.takeoff import FleetError, FlightCheck, Launch, TakeOff
 from ptnsbc_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("experiment_4")
@@ -27,7 +27,7 @@ class Vehicles:
         self.places = {f"bridge{i}": (*self.spot(i), 0.1) for i in IDS}
         self.vehicles = {name: vehicle(Step.CONTROLLER) for name in self.places}
         self.measured = {i: (*self.spot(i), HEIGHT_M + 0.1) for i in IDS}
-        self.started = []
+        self.started, self.objections = [], {}
         self.lifecycle = self.status = self.leader = self
 
     @staticmethod
@@ -105,29 +105,22 @@ def test_every_bridge_must_know_where_its_vehicle_is():
     assert check.lost()
 
 
-def test_in_the_air_a_flight_is_judged_again_only_from_other_places():
+def test_what_a_bridge_objects_is_told_before_any_dry_run():
     vehicles, (judges, seen) = Vehicles(), judge()
+    vehicles.objections = {
+        "bridge1": "",
+        "bridge2": "its position is known to 0.90 m: expected 0.14",
+    }
     check = check_of(vehicles, judges)
-    check.before_arming()
-    vehicles.places = {f"bridge{i}": place for i, place in vehicles.measured.items()}
-    x, y, z = vehicles.measured[3]
-    vehicles.places["bridge3"] = (x + 0.9 * SAME_M, y, z)
-    assert check.before_start() == "" and len(seen) == 1
-    vehicles.places["bridge3"] = (x + 1.1 * SAME_M, y, z)
-    check.before_start()
-    assert seen[1][3] == pytest.approx((x + 1.1 * SAME_M, y, z))
-    del vehicles.places["bridge3"]  # its bridge was not heard
-    check.before_start()
-    assert len(seen) == 3
+    assert check.before_arming() == f"bridge2: {vehicles.objections['bridge2']}"
+    assert check.holds and seen == []
 
 
 def test_simulated_vehicles_are_where_the_file_says():
     vehicles, (judges, seen) = Vehicles(), judge("UAV 2 is late")
-    check = check_of(vehicles, judges, backend="sim")
-    assert not check.holds
-    assert check.before_start() == ""
+    assert not check_of(vehicles, judges, backend="sim").holds
+    launched(vehicles, judges, backend="sim")
     assert seen == []
-    assert check_of(vehicles, None).before_start() == ""
 
 
 def test_an_operator_lets_vehicles_arm_once_all_know_where_they_are_and_the_flight_was_judged():
@@ -181,9 +174,16 @@ def test_the_launcher_starts_only_what_is_not_refused():
     assert len(vehicles.started) == 1
     with pytest.raises(FleetError, match="stand nothing is armed: UAV 2 is late"):
         launched(Vehicles(), judge("UAV 2 is late")[0])
-    objections = iter(("", "UAV 2 is late"))
-    with pytest.raises(FleetError, match=r"measured positions .* UAV 2 is late"):
-        launched(Vehicles(), lambda _scenario: next(objections))
+
+
+def test_the_dry_runs_are_flown_once_wherever_the_vehicles_have_drifted_in_the_air():
+    vehicles, (judges, seen) = Vehicles(), judge()
+
+    def drift(_):
+        vehicles.places = {name: (x + 3.0, y, z) for name, (x, y, z) in vehicles.places.items()}
+
+    launched(vehicles, judges, drift)
+    assert len(seen) == 1 and len(vehicles.started) == 1
 
 
 class Loaded:

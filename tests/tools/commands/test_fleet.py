@@ -186,13 +186,13 @@ def test_without_overrides_there_is_nothing_to_tell() -> None:
 @pytest.mark.parametrize(
     ("backend", "check", "first"),
     [
-        ("mavlink", None, "dry runs"),
+        ("mavlink", None, "judged where they stand"),
         ("mavlink", False, "flown"),
         ("sim", None, "flown"),
         ("sim", True, "dry runs"),
     ],
 )
-def test_real_vehicles_do_not_arm_before_dry_runs(
+def test_dry_runs_are_flown_once_of_real_vehicles_from_where_they_stand(
     monkeypatch: pytest.MonkeyPatch, backend: Any, check: bool | None, first: str
 ) -> None:
     class EndedError(Exception):
@@ -205,7 +205,9 @@ def test_real_vehicles_do_not_arm_before_dry_runs(
         return call
 
     monkeypatch.setattr(dry_run, "flown", ends("dry runs"))
-    monkeypatch.setattr(fleet, "_fly", ends("flown"))
+    judged = "judged where they stand"
+    fly = lambda request, _: ends("flown" if request.objection is None else judged)()  # noqa: E731
+    monkeypatch.setattr(fleet, "_fly", fly)
     monkeypatch.setattr("ptnsbc_nodes.fleet.fleet.load_fleet", lambda _: None)
     monkeypatch.setattr("ptnsbc_nodes.fleet.fleet.load_world", lambda _: None)
     scenario, parts = load_scenario("experiment_4"), fleet.Parts(backend=backend, allow_arming=True)

@@ -13,11 +13,14 @@ from ptnsbc_nodes.bridge.procedure.steps import Companion, Step
 KEEP_OUT_M, SPACING_M = 0.5, 1.0
 
 
-def companions(*awaited, own=2, wide=(), error_m=0.0):
+def companions(*awaited, own=2, wide=(), error_m=0.0, tolerance_m=0.15):
     """A vehicle at its start, in the origin, that hears the bridges of others."""
-    mavlink = SimpleNamespace(start_tolerance_m=1.0, climb_spacing_m=SPACING_M)
+    abort = SimpleNamespace(separation_share=0.6)
+    mavlink = SimpleNamespace(start_tolerance_m=1.0, climb_spacing_m=SPACING_M, abort=abort)
     scenario = SimpleNamespace(
         mavlink=mavlink,
+        formation=SimpleNamespace(tolerance_m=tolerance_m),
+        uav_ids=(1, own),
         uav=lambda _uav: SimpleNamespace(position=(0.0, 0.0, 0.0)),
         keep_out_between=lambda _own, uav: 3 * KEEP_OUT_M if uav in wide else KEEP_OUT_M,
     )
@@ -28,6 +31,18 @@ def companions(*awaited, own=2, wide=(), error_m=0.0):
 
 def other(step=Step.READY, x=0.0, y=0.0, error_m=0.0, height_m=0.0, fault=""):
     return Companion(step.value, fault, (x, y, 0.0), error_m, height_m)
+
+
+@pytest.mark.parametrize(
+    ("error_m", "tolerance_m", "most"), [(0.9, 2.0, "0.14"), (0.1, 0.06, "0.06"), (0.1, 0.15, "")]
+)
+def test_a_position_must_be_known_within_the_tolerance_and_what_the_keep_out_leaves(
+    error_m, tolerance_m, most
+):
+    """Four tenths of a keep-out of 0.5 m must hold the errors of two positions."""
+    said = companions(error_m=error_m, tolerance_m=tolerance_m).inexact()
+    assert bool(said) is bool(most)
+    assert not most or f"known to {error_m:.2f} m: expected at most {most} m" in said
 
 
 def test_nobody_is_awaited_alone():
