@@ -169,8 +169,9 @@ class Autopilot(NamedTuple):
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """The name of the mode in a HEARTBEAT."""
-        if self.attitude_only and base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED:
-            return self.own_mode
+        if self.attitude_only:
+            guided = base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+            return self.own_mode if guided else f"not {self.own_mode}"
         numbers = (custom_mode, 0)
         if self.packed:
             numbers = (custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
@@ -196,8 +197,12 @@ _OLD_NAMES: Mapping[str, tuple[str, float]] = {
     "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
 }
 """Parameters of ArduCopter before 4.7: their names since, and the unit of an old value in that of a new one."""
-_PX4_MAIN = "- MANUAL ALTCTL POSCTL - ACRO OFFBOARD STABILIZED"
-_PX4_AUTO = "- READY TAKEOFF HOLD MISSION RTL LAND - FOLLOW PRECLAND"
+_PX4_MAIN = "- MANUAL ALTCTL POSCTL - ACRO OFFBOARD STABILIZED RATTITUDE SIMPLE TERMINATION"
+_PX4_POSITION = "POSCTL ORBIT POSCTL_SLOW"
+_PX4_AUTO = (
+    "- READY TAKEOFF HOLD MISSION RTL LAND - FOLLOW PRECLAND VTOL_TAKEOFF EXTERNAL1 EXTERNAL2 EXTERNAL3 EXTERNAL4 "
+    "EXTERNAL5 EXTERNAL6 EXTERNAL7 EXTERNAL8"
+)
 _ARDUCOPTER = (
     "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE - LAND - DRIFT - SPORT FLIP AUTOTUNE POSHOLD BRAKE THROW "
     "AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE RATE_ACRO"
@@ -208,6 +213,7 @@ PX4 = Autopilot(
     own_mode="OFFBOARD",
     modes={
         **{(n, 0): name for n, name in enumerate(_PX4_MAIN.split())},
+        **{(3, n): name for n, name in enumerate(_PX4_POSITION.split())},
         **{(4, n): name for n, name in enumerate(_PX4_AUTO.split())},
     },
     packed=True,

@@ -6,8 +6,8 @@ const STILL = 0.05; // [m/s]
 const ORDERS = {
   hold: "All UAVs hold where they are. Hold?",
   land: "The leader ends the formation, and all UAVs land. End flight?",
-  stop: "Every vehicle lands where it is, as by ptnsbc stop. Land all?",
-  motors: "All motors stop at once, in the air too. VEHICLES FALL. As by ptnsbc stop --kill. Stop all motors?",
+  stop: "Every vehicle lands where it is, as by ptnsbc stop. LAND ALL?",
+  motors: "All motors stop at once, in the air too. VEHICLES FALL. As by ptnsbc stop --kill. STOP ALL MOTORS?",
 };
 
 /** The flight so far: like Motion, and it grows. */
@@ -232,8 +232,7 @@ class Board {
     frame.uavs.forEach((uav, k) => {
       const { row, cells } = this.rows[k];
       const near = uav.near && uav.near.distance !== null ? `${uav.near.distance.toFixed(2)} ·${uav.near.name.replace("UAV ", "")}` : "–";
-      const vehicle = uav.vehicle && uav.vehicle.replace(/ *\(.*/, ""); // without the numbers of an unknown mode
-      const mode = [uav.lost ? "lost" : uav.mode, vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
+      const mode = [uav.lost ? "lost" : uav.mode, uav.vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
       const text = [mode || "–", number(uav.battery, 0), uav.fix || "–", uav.readiness || "not heard",
         number(uav.error, uav.error !== null && uav.error < 0.1 ? 4 : 3), number(uav.pose && uav.pose[2], 2), number(uav.speed, 2), near];
       text.forEach((one, i) => { if (cells[i].textContent !== one) cells[i].textContent = one; });

@@ -219,11 +219,13 @@ def test_a_bridge_asks_for_them(autopilot, values):
         (PX4, 209, 3 << 16, "POSCTL", FlightMode.OTHER),
         (PX4, 209, 6 << 16, "OFFBOARD", FlightMode.OWN),
         (PX4, 209, 4 << 16 | 9 << 24, "PRECLAND", FlightMode.LAND),
+        (PX4, 209, 3 << 16 | 2 << 24, "POSCTL_SLOW", FlightMode.OTHER),
+        (PX4, 209, 4 << 16 | 11 << 24, "EXTERNAL1", FlightMode.OTHER),
         (PX4, 209, 77 << 16, "custom_mode 5046272", FlightMode.OTHER),
         (ARDUPILOT, 209, 5, "LOITER", FlightMode.OTHER),
         (ARDUPILOT, 209, 17, "BRAKE", FlightMode.HOLD),
         (GENERIC, mavlink.MAV_MODE_FLAG_GUIDED_ENABLED, 0, "GUIDED", FlightMode.OWN),
-        (GENERIC, 0, 0, "custom_mode 0", FlightMode.OTHER),
+        (GENERIC, 0, 0, "not GUIDED", FlightMode.OTHER),
     ],
 )
 def test_a_mode_has_the_name_that_its_pilot_knows(autopilot, base, custom, name, mode):

@@ -76,7 +76,7 @@ def page(server: LiveServer, feed: Feed) -> Iterator[Any]:
 
 @pytest.mark.slow
 def test_every_order_is_asked_sent_and_answered(page: Any, server: LiveServer, feed: Feed) -> None:
-    words = {"hold": "Hold", "land": "End flight", "stop": "Land all", "motors": "Stop all motors"}
+    words = {"hold": "Hold", "land": "End flight", "stop": "LAND ALL", "motors": "STOP ALL MOTORS"}
     assert words.keys() == set(ORDERS)  # the last two are those of the emergency card
     for order in ORDERS:
         button, dialog = page.locator(f"[data-order={order}]"), page.locator("#confirm")
@@ -161,12 +161,12 @@ def test_a_landing_is_no_catastrophe_and_the_page_ends_with_the_verdict(
 ) -> None:
     landing = frame("land") | {"left_s": None}
     for uav in landing["uavs"]:
-        uav |= {"error": None, "speed": 0.4, "vehicle": "land (custom_mode 84148224)"}
+        uav |= {"error": None, "speed": 0.4, "vehicle": "LAND"}
     feed.add(landing)
     page.wait_for_selector("#state.plain")
     assert page.locator("#countdown").inner_text() == "landing"
     assert page.locator("#line").inner_text().startswith("5 of 5 still descend, the highest is at")
-    assert page.locator("#board tr:first-child td.mode").inner_text() == "land, land"
+    assert page.locator("#board tr:first-child td.mode").inner_text() == "land, LAND"
     feed.tell("end", verdict="met late", line="3 of 5 in place by 5 s.")
     feed.tell("report", page="<title>the report</title>", path="/tmp/flight-report/index.html")
     feed.add(landing)  # one that is late
