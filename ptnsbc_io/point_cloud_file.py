@@ -162,10 +162,10 @@ def _vertices(lines: list[list[str]], order: str) -> tuple[int, list[_Field]]:
 
 def _npy(data: bytes) -> Array:
     try:
-        found = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError, MemoryError):
+        found = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    except Exception:  # its header is a text of Python
         raise PointCloudFileError("expected an array that numpy.save has written") from None
-    if not isinstance(found, np.ndarray) or found.ndim != 2 or found.shape[1] < 3:
+    if found.ndim != 2 or found.shape[1] < 3:
         raise PointCloudFileError("expected an array of shape (N, 3)")
     if len(found) == 3 < found.shape[1]:
         raise PointCloudFileError(

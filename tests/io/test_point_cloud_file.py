@@ -160,6 +160,7 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
         ("a.csv", "nan,0,0\n", "no points"),
         ("a.csv", "1e7,0,0\n", "expected no coordinate beyond"),
         ("a.npy", "text", r"expected an array that numpy\.save has written"),
+        ("a.npy", b"PK\3\4" + bytes(60), r"expected an array that numpy\.save has written"),
         ("a.pcd", "", "expected the header of a PCD file"),
         ("a.pcd", "FIELDS x y z\nDATA ascii\n", "expected a line SIZE in the header"),
         ("a.pcd", header("ascii"), "0 points: expected 3"),
@@ -188,6 +189,13 @@ def test_what_is_no_point_cloud_is_refused(
 ) -> None:
     with pytest.raises(PointCloudFileError, match=message):
         points_of(written(tmp_path, name, content))
+
+
+@pytest.mark.parametrize("header", ["{'descr': (", "\0{}", "{'a\x1d': 1}", "{'shape': (1, 3)}", ""])
+def test_an_array_with_a_damaged_header_is_refused(tmp_path: Path, header: str) -> None:
+    data = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header.encode() + bytes(24)
+    with pytest.raises(PointCloudFileError, match=r"an array that numpy\.save has written"):
+        points_of(written(tmp_path, "a.npy", data))
 
 
 def test_an_array_of_another_shape_is_refused(tmp_path: Path) -> None:
