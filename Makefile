@@ -39,7 +39,7 @@ slow: setup-test-site-messages  ## Run the tests that take more than five second
 repeat: setup-test-site-messages  ## Run the quick tests N times, every second time beside busy loops
 	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS) $(ARGS)
 
-fuzz: setup  ## Mutated bags, scenarios, messages and packets: make fuzz ARGS="--seconds 600"
+fuzz: setup  ## Mutated bags, scenarios, files, messages and packets: make fuzz ARGS="--seconds 600"
 	@time $(BIN)/python -m bench.fuzz --seconds 60 $(ARGS)
 
 demo: setup  ## Fly a formation, record it, verify it

@@ -16,7 +16,7 @@ from bench.table import Row, markdown
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
 
-SECTIONS = ("step", "headless", "sweep", "peers", "startup", "fleets")
+SECTIONS = ("step", "headless", "sweep", "startup", "fleets")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

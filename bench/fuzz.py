@@ -1,6 +1,7 @@
-"""`python -m bench.fuzz`: mutated bags, scenarios, messages and MAVLink packets; whatever they are, no traceback.
+"""`python -m bench.fuzz`: mutated bags, scenarios, files, messages and packets; whatever they are, no traceback.
 
-    python -m bench.fuzz [--seconds S] [--bags N] [--scenarios N] [--wire N] [--mavlink N] [--cli N] [--seed K]
+    python -m bench.fuzz [--seconds S] [--bags N] [--scenarios N] [--files N] [--wire N] [--mavlink N] [--cli N]
+                         [--seed K]
 
 Each input goes through the library, `--cli` bags and scenarios also through the command line. An input that raises
 anything but an error in words, or takes more than 2 s of a processor or 300 MB of memory, is kept in `bench/corpus`,

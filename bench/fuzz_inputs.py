@@ -1,15 +1,19 @@
-"""Inputs of `bench.fuzz`: bags, scenarios, messages and MAVLink packets, how each is changed and what reads it."""
+"""Inputs of `bench.fuzz`: bags, scenarios, files, messages and packets, how each is changed and what reads it."""
 
 from __future__ import annotations
 
+import json
 import random
 import re
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
+import numpy as np
 from mcap.writer import CompressionType
 
 from ptnsbc_core.errors import PtnsbcError
@@ -20,7 +24,9 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet, Transport
 from ptnsbc_io.wire import decode_diagnostics
-from ptnsbc_sim.scenario import agent_config, scenario_from_text
+from ptnsbc_sim.occupancy import map_text
+from ptnsbc_sim.scenario import agent_config, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.check import check
 from ptnsbc_tools.library.bags import repair
@@ -166,6 +172,72 @@ class Scenarios:
                 agent_config(scenario, uav)
 
 
+_PATH = "0,0,0,8,0\n1,1,0,8,0.1\n2,2,1,8,0.2\n"
+_POINTS = "0,0,8\n1,0,8\n1,2,9\n"
+_POLYNOMIAL = ",".join(["2", *["0.5", "1", "-0.25", *"00000"] * 4])
+_HOME = [47.4, 8.5, 488]
+_ITEMS = [
+    {"command": 16, "frame": 3, "params": [0, 0, 0, None, 47.4 + step, 8.5, 9]}
+    for step in (0, 1e-4)
+]
+_PLAN = {"hoverSpeed": 5, "plannedHomePosition": _HOME, "items": _ITEMS}
+_CURVES = [[0, [0, 0, 8], []], [2, [4, 0, 8], [[0, 2, 8], [4, 2, 8]]], [3, [5, 0, 8], []]]
+
+
+class Files:
+    """Paths, shapes, streams and maps, in the forms that a scenario may name."""
+
+    _keys: tuple[tuple[str, dict[str, object]], ...] = (
+        ("leader.trajectory", {"kind": "file"}),
+        ("leader.trajectory", {"kind": "file", "speed_m_s": 1}),
+        ("leader.trajectory", {"kind": "file", "rate_hz": 5}),
+        ("formation.shape", {"kind": "file"}),
+    )
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / "file"
+        poses = "# timestamp tx ty tz qx qy qz qw\n7 0 0 8 0 0 0 1\n8 1 0 8 0 0 1 0\n"
+        texts = (_PATH, "t_ms;x;y;z\n0;0;0;8\n9000;1,5;0;8\n", _POINTS, poses, _POLYNOMIAL)
+        plan = json.dumps({"fileType": "Plan", "mission": _PLAN})
+        self.sound = [text.encode() for text in (*texts, plan)] + [
+            _archive({"swarm": {"drones": [{"settings": {"trajectory": {"points": _CURVES}}}]}}),
+            _saved(lambda stream: np.save(stream, np.eye(3))),
+            (ROOT / "scenarios" / "yard.pcd").read_bytes()[:2000],
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+            b"property float z\nend_header\n1 2 3\n",
+        ]
+
+    def make(self, chance: random.Random) -> bytes:
+        """A mutation."""
+        data = chance.choice(self.sound)
+        return mutated(data, chance) if b"\0" in data else mutated_text(data, chance)
+
+    def run(self, data: bytes) -> None:
+        """Read as each of them."""
+        self._path.write_bytes(data)
+        for key, block in self._keys:
+            with suppress(PtnsbcError):
+                given = {key: {**block, "file": str(self._path)}}
+                extremes(load_scenario("paper_5_free", given).leader.trajectory, 60.0)
+        for suffix in (".pcd", ".ply", ".csv", ".npy"):
+            with suppress(PtnsbcError):
+                map_text(suffix, data, 1.0)
+
+
+def _saved(write: Callable[[BytesIO], object]) -> bytes:
+    stream = BytesIO()
+    write(stream)
+    return stream.getvalue()
+
+
+def _archive(show: object) -> bytes:
+    def write(stream: BytesIO) -> None:
+        with ZipFile(stream, "w", ZIP_DEFLATED) as folder:
+            folder.writestr("show.json", json.dumps(show))
+
+    return _saved(write)
+
+
 class Wire:
     """Serialised messages of the sample flight, through every decoder."""
 
@@ -240,10 +312,11 @@ class Packets:
                 message.to_dict()
 
 
-Fuzzer = Bags | Scenarios | Wire | Packets
+Fuzzer = Bags | Scenarios | Files | Wire | Packets
 FUZZERS: dict[str, Callable[[Path], Fuzzer]] = {
     "bags": Bags,
     "scenarios": Scenarios,
+    "files": Files,
     "wire": Wire,
     "mavlink": Packets,
 }
