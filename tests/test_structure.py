@@ -59,7 +59,6 @@ ESCAPE_HATCHES: dict[str, str] = {
     "ptnsbc_core.compile_cache": "a damaged or foreign cache of compiled laws ends no process",
     "ptnsbc_core.compiler": "the first flight compiles in seconds",
     "ptnsbc_nodes.runtime.launcher": "a process ends with its launcher: no vehicle is left alone",
-    "ptnsbc_nodes.runtime.lifecycle_node": "no request of a life cycle ends a process in flight",
     "ptnsbc_sim.plugins.loader": "a plug-in that numba compiles finds the names of its own file",
     "ptnsbc_tools.doctor": "the state of the clock is told without a program that may be missing",
 }
@@ -80,6 +79,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/comm/test_serialize.py": "ptnsbc_io/cdr.py, with the message classes of ROS",
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
     "tests/nodes/fleet/test_process_list.py": "child_process.py with the options that fleet.py refuses",
+    "tests/nodes/uav/test_uav_graph.py": "uav_node.py: its names, namespace and time",
     "tests/nodes/uav/test_uav_status.py": "uav_node.py: what a UAV says of itself",
     "tests/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
     "tests/sim/test_shipped_scenarios.py": "scenarios/",

@@ -12,7 +12,7 @@ from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
-from ptnsbc_nodes.bridge.procedure.companions import ON_GROUND_M, Placement
+from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, ON_GROUND_M, Placement
 from ptnsbc_nodes.bridge.procedure.hazards import FormationWatch
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
@@ -36,7 +36,6 @@ WANTED_MESSAGES = frozenset(
 )
 """Ids of the messages that a bridge decodes."""
 _DUPLICATE_S = 3.0
-_HELD_S = 2.0  # statuses come five times a second
 _LEAST_AGES_S = 0.8  # the procedure waits for fresh setpoints for 1 s
 _APART_M = 0.4  # from the height of its layer
 
@@ -243,7 +242,7 @@ class Bridge:
             state_fault=publisher.fault(now_s),
             controller_age_s=publisher.controller.age_s(now_s),
             controller_ready=inputs.controller_ready,
-            controller_held=now_s - inputs.controller_held_s < _HELD_S,
+            controller_absent=now_s - inputs.controller_heard_s > HEARD_S,
             mode=vehicle.mode,
             mode_name=vehicle.mode_name,
             armed=vehicle.armed,

@@ -20,7 +20,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--connect", help="instead of the scenario's link to the vehicle")
     parser.add_argument("--signing-key", type=Path, help="instead of the scenario's key file")
     parser.add_argument("--allow-arming", action="store_true", help="arm and take off")
-    parser.add_argument("--managed", action="store_true", help="wait to be configured")
+    parser.add_argument(
+        "--with-fleet", action="store_true", help="arm only when all UAVs of the scenario are ready"
+    )
     return run(parser, argv, _bridge)
 
 
@@ -36,7 +38,7 @@ def _bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
         recorded=arguments.recorded,
         signing_key=arguments.signing_key,
         allow_arming=arguments.allow_arming,
-        managed=arguments.managed,
+        with_fleet=arguments.with_fleet,
     )
 
 

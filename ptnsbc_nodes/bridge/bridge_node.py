@@ -16,7 +16,6 @@ from typing import NamedTuple
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_io.mavlink.frames import GeoPoint
@@ -41,7 +40,7 @@ from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, LiveTransforms, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
-from ptnsbc_nodes.comm.diagnostics import INACTIVE, StatusLog
+from ptnsbc_nodes.comm.diagnostics import StatusLog
 from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -55,10 +54,6 @@ from ptnsbc_sim.scenario.constants import PlannerLimits
 
 _BRIDGE, _LINK = "bridge", ": link"
 _NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
-
-
-class FlyingError(PtnsbcError):
-    """A request to deactivate a bridge whose vehicle flies."""
 
 
 class BridgeOptions(NamedTuple):
@@ -157,8 +152,7 @@ class FleetReports:
             name, values = status.name, status.values
             if name == self._planner:
                 inputs.controller_ready = values.get("ready") == "true"
-                if INACTIVE in values.get("waiting_for", "").split():
-                    inputs.controller_held_s = now_s
+                inputs.controller_heard_s = now_s
             elif name.startswith(_BRIDGE) and name.endswith(_LINK):
                 number = name.removeprefix(_BRIDGE).removesuffix(_LINK)
                 report = companion(values)
@@ -199,7 +193,7 @@ class NearPublisher:
 
 
 class BridgeNode:
-    """One bridge as one rclpy node; it sends nothing to the vehicle until `activate`.
+    """One bridge as one rclpy node; it sends nothing to the vehicle until `start`.
 
     It calls `on_end` when the flight is over, with its faults, or without any the step in which it ended.
     """
@@ -237,7 +231,7 @@ class BridgeNode:
         self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         self._battery = self.bridge.vehicle.battery.newest
         self._leaving = False
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._run, name=f"bridge{uav_id}", daemon=True)
 
     @property
     def exit_code(self) -> int:
@@ -246,37 +240,24 @@ class BridgeNode:
         unfinished = self.bridge.flew and procedure.step is not Step.DONE
         return int(bool(procedure.fault) or unfinished)
 
-    def activate(self) -> None:
-        """Begin or resume communication with the vehicle."""
-        self._leaving = False
-        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+    def start(self) -> None:
+        """Begin communication with the vehicle."""
         self._thread.start()
-
-    def deactivate(self) -> None:
-        """Stop communication with the vehicle; refused while the bridge flies it."""
-        step = self.bridge.procedure.step
-        if self.bridge.vehicle.armed and step not in _NOT_OURS:
-            raise FlyingError(
-                f"{self._name}: {step.value}: expected a vehicle that is not "
-                "flown by this bridge; land it first: /formation/land, or ptnsbc stop"
-            )
-        self._stop_thread()
 
     def land(self) -> bool:
         """Request a landing; returns whether the vehicle is armed and this bridge flies it."""
         procedure = self.bridge.procedure
-        if self._thread is None or procedure.step in _NOT_OURS or procedure.in_pilots_hands:
+        if procedure.step in _NOT_OURS or procedure.in_pilots_hands:
             return False
         self.bridge.ports.inputs.take(Order(LAND))
         return self.bridge.vehicle.armed
 
     def close(self) -> None:
-        """Stop the thread, and the stream with it; remove everything from the node."""
-        self._stop_thread()
+        """Stop the thread, and the stream with it; close the link and the port for orders."""
+        self._leaving = True
+        self._thread.join(timeout=2.0)
         self.orders.close()
         self.bridge.link.close()
-        self.node.destroy_timer(self._status_timer)
-        self.endpoints.close()
 
     @property
     def begun(self) -> bool:
@@ -288,8 +269,6 @@ class BridgeNode:
         missing = self.endpoints.unheard()
         if not self.begun:
             missing += self.endpoints.contested()
-        if self._thread is None:
-            missing.append(INACTIVE)
         if self.bridge.procedure.awaited:
             missing.append(self.bridge.procedure.awaited)
         return missing
@@ -333,12 +312,6 @@ class BridgeNode:
                 self._name, record, self.bridge, missing, self.endpoints, self._status_log
             )
         )
-
-    def _stop_thread(self) -> None:
-        self._leaving = True
-        if self._thread is not None:
-            self._thread.join(timeout=2.0)
-            self._thread = None
 
     def _run(self) -> None:
         bridge = self.bridge

@@ -28,7 +28,7 @@ class BridgeInputs:
     """The other vehicles (M, 7), wherever they are: x y z keep-out vx vy vz."""
     leader_origin: GeoPoint | None = None
     controller_ready: bool = False
-    controller_held_s: float = float("-inf")  # when it last reported that it is not active
+    controller_heard_s: float = float("-inf")  # when its process last reported
     companions: list[tuple[int, Companion, float]] = field(default_factory=list)
     """Reports of other bridges: UAV id, report, and when it arrived."""
     order: Order = field(default_factory=Order)  # by the operator, or at the end of this process

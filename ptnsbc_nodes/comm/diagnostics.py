@@ -19,8 +19,6 @@ from ptnsbc_io.cdr import LITTLE_ENDIAN_HEADER, aligned_string, encode_string, s
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 
-INACTIVE = "activation"
-"""In `waiting_for` of a node that is configured and not yet activated."""
 SAFETY = "safety"
 """Key of the safety state."""
 _LOG_GAP_S = 1.0

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
@@ -24,11 +24,8 @@ from ptnsbc_nodes.runtime.signals import signals_blocked
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 
-if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet.fleet_node import LifecycleManager
-
 BRIDGE = "ptnsbc_nodes.bridge.bridge_main"
-_UAV = "ptnsbc_nodes.uav.uav_main"
+UAV = "ptnsbc_nodes.uav.uav_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 _TAIL_LINES = 12
 _USER_ERROR = 2  # the exit code of a process that ended with a message to the user
@@ -54,7 +51,6 @@ class ProcessCommand:
     module: str
     arguments: tuple[str, ...]
     uavs: tuple[int, ...] = ()  # ids of the UAVs that are lost when it ends
-    managed: str = ""  # its node below the fleet, if the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
     beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
@@ -160,7 +156,8 @@ class FleetOptions:
 def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]:
     """The processes of this computer in the order of their start.
 
-    The recorder comes first, because it must miss nothing. The sim comes last: in real time a UAV ticks from its
+    The recorder comes first, because it must miss nothing. Bridges come before UAVs, without which they arm nothing,
+    and so does what an operator lets them arm with. The sim comes last: in real time a UAV ticks from its
     first odometry on, and twenty ticking UAVs make the others load three times as long.
     """
     scenario, bridged = options.scenario, options.backend == "mavlink"
@@ -172,28 +169,20 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         common.append("--bridged")
         arming = ["--allow-arming"] if options.allow_arming else []
         for uav in scenario.uav_ids:
-            words = (*common, "--uav", str(uav), "--managed", *arming)
-            managed = f"/uav{uav}/bridge"
-            listed.append(ProcessCommand(f"bridge{uav}", BRIDGE, words, (uav,), managed, ends=True))
-    for group in groups(options):
-        words, first = (*common, "--uav", *map(str, group)), group[0]
-        if len(group) == 1:
-            managed = f"/uav{first}/controller"
-            listed.append(
-                ProcessCommand(f"uav{first}", _UAV, (*words, "--managed"), group, managed)
-            )
-        else:
-            # They activate themselves: fifty nodes of one process answer fifty requests one after the other, and the
-            # last answers come too late.
-            listed.append(ProcessCommand(f"uav{first}-{group[-1]}", _UAV, words, group))
-    if not bridged:
-        listed.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
-    here = [one for one in listed if not options.only or one.name in options.only]
+            words = (*common, "--uav", str(uav), "--with-fleet", *arming)
+            listed.append(ProcessCommand(f"bridge{uav}", BRIDGE, words, (uav,), ends=True))
     if options.operator and options.leads:
         words = ("--scenario", str(scenario_file))
-        here.append(
+        listed.append(
             ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", words, beside=True)
         )
+    for group in groups(options):
+        words, first = (*common, "--uav", *map(str, group)), group[0]
+        name = f"uav{first}" if len(group) == 1 else f"uav{first}-{group[-1]}"
+        listed.append(ProcessCommand(name, UAV, words, group))
+    if not bridged:
+        listed.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
+    here = [one for one in listed if one.beside or not options.only or one.name in options.only]
     secured = scenario.security == "required"
     return [command.within(options.namespace, secured=secured) for command in here]
 
@@ -361,26 +350,22 @@ class ChildProcess:
 class Crew:
     """The processes of one launcher, in the order of their start."""
 
-    def __init__(
-        self, settings: Mapping[str, str], log_dir: Path, lifecycle: LifecycleManager
-    ) -> None:
-        """`settings`: environment of the processes; `lifecycle`: takes their nodes to active."""
+    def __init__(self, settings: Mapping[str, str], log_dir: Path) -> None:
+        """`settings`: environment of the processes."""
         self.children: list[ChildProcess] = []
-        self._settings, self._log_dir, self._lifecycle = settings, log_dir, lifecycle
+        self._settings, self._log_dir = settings, log_dir
 
     def start(self, command: ProcessCommand) -> None:
-        """Start a process, and take its node to active if the launcher drives its life cycle."""
-        self.children.append(self._launch(command))
+        """Start a process."""
+        self.children.append(ChildProcess(command, self._settings, self._log_dir))
 
-    def start_again(self, child: ChildProcess, *, by_itself: bool = False) -> None:
-        """Start a process that has ended once more, in its place; `by_itself`: its node activates itself."""
+    def start_again(self, child: ChildProcess) -> None:
+        """Start a process that has ended once more, in its place."""
         command = child.command
-        if by_itself:
-            words = tuple(word for word in command.arguments if word != "--managed")
-            command = replace(command, arguments=words, managed="")
         if child.name == RECORDER:  # the bag that is there is its own, and empty
             command = replace(command, arguments=(*command.arguments, "--overwrite"))
-        self.children[self.children.index(child)] = self._launch(command, child.life + 1)
+        again = ChildProcess(command, self._settings, self._log_dir, child.life + 1)
+        self.children[self.children.index(child)] = again
 
     def pass_on_lines(self, progress: Callable[[str], None]) -> None:
         """Pass on what the sim and the bridges say of the flight."""
@@ -389,12 +374,6 @@ class Crew:
                 for line in child.new_lines():
                     if line.startswith(f"{child.name}: "):
                         progress(line)
-
-    def _launch(self, command: ProcessCommand, life: int = 1) -> ChildProcess:
-        child = ChildProcess(command, self._settings, self._log_dir, life)
-        if command.managed:
-            self._lifecycle.manage(command.name, command.managed)
-        return child
 
 
 def fault_lines(children: Iterable[ChildProcess]) -> Iterator[str]:

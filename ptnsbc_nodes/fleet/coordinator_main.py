@@ -1,6 +1,6 @@
-"""Process of the coordinator: takes the nodes of a flight to active and starts it, for launch files.
+"""Process of the coordinator: starts a flight once all its processes are ready, for launch files.
 
-`python -m ptnsbc_nodes.fleet.coordinator_main --scenario FILE [--manage] [--bridged]`
+`python -m ptnsbc_nodes.fleet.coordinator_main --scenario FILE [--bridged]`
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("coordinator", "Starts a flight when all its nodes are ready")
-    parser.add_argument("--manage", action="store_true", help="configure and activate them first")
     parser.add_argument(
         "--patience", type=float, metavar="S", help="give up after so long; 30 s + 5 s per UAV"
     )
@@ -50,12 +49,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     with StopRequest() as stop:
         domain = environment.named_domain()
         with LauncherNode(domain, ros_arguments=argv[1:], seal=seal) as node:
-            if arguments.manage:
-                for i in scenario.uav_ids:
-                    node.lifecycle.manage(f"uav{i}", f"/uav{i}/controller")
-                    if arguments.bridged:
-                        node.lifecycle.manage(f"bridge{i}", f"/uav{i}/bridge")
-            crew = Crew({}, Path(), node.lifecycle)
+            crew = Crew({}, Path())
             TakeOff(Launch(options, crew, node, stop, _say)).run((), deadline)
             if arguments.bridged:
                 over_s = time.monotonic() + node.leader.begins_in_s() + scenario.timing.duration_s

@@ -127,7 +127,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
                 leads=options.leads,
             )
         )
-        crew = Crew(settings, log_dir, node.lifecycle)
+        crew = Crew(settings, log_dir)
         return _fly(Launch(options, crew, node, stop, say), processes)
 
 

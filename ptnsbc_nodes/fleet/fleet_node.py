@@ -14,10 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ptnsbc_io.wire import (
@@ -29,7 +26,6 @@ from ptnsbc_io.wire import (
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost
-from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.seal import Seal
@@ -41,10 +37,6 @@ from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 _REQUEST_S = 1.0
 _LOOK_S = 0.1
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
-
-_CONFIGURE, _ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
-_STEPS = (_CONFIGURE, _ACTIVATE)
-_TRANSITION_S = 5.0
 
 
 class FleetNode:
@@ -114,7 +106,6 @@ class FleetStatus:
 
     def __init__(self, node: FleetNode) -> None:
         self.waiting: dict[str, str] = {}  # by process what for, empty when it is ready
-        self.active: set[str] = set()  # processes whose nodes are active
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge
         self.places: dict[str, tuple[float, ...]] = {}  # by bridge, measured (3,) [m], ENU
         self.objections: dict[str, str] = {}  # by bridge, to arming its vehicle; empty without one
@@ -153,8 +144,6 @@ class FleetStatus:
             name, waits_for = status.name.partition(":")[0], values.get("waiting_for", "")
             self.last_s[name] = now_s
             self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"
-            if INACTIVE not in waits_for:
-                self.active.add(name)
             if WAITED in values and name == SIM:
                 self._wait.reported(now_s, waits_for.split(", ") if waits_for else [])
             if "order" in values:
@@ -311,132 +300,6 @@ class FleetNews:
         return full_name(self._node.node, OVER) not in self._node.endpoints.unheard()
 
 
-class _ManagedTransitions:
-    """One node on its way to active.
-
-    A request may arrive without its answer: over a network that loses packets a discovery server may never introduce
-    the client to the node. A transition without an answer may have happened, so the other one is tried next.
-    """
-
-    def __init__(self, node: Node, name: str, doubtful: bool, held: Callable[[], bool]) -> None:
-        self._node, self._name, self._held = node, name, held
-        self._client = self._new_client()
-        self._steps = list(_STEPS)
-        self._asked_s = float("-inf")
-        self._call: Any = None
-        self._doubtful = doubtful  # an answer may have been lost: a refusal then has no meaning
-        self.refused = False
-
-    @property
-    def asked(self) -> bool:
-        return self._asked_s > float("-inf")
-
-    @property
-    def done(self) -> bool:
-        return not self._steps or self.refused
-
-    def _may_ask(self) -> bool:
-        return bool(self._steps) and not (self._steps[0] == _ACTIVATE and self._held())
-
-    def look(self) -> None:
-        """Request the next transition when no answer is awaited."""
-        silent = time.monotonic() - self._asked_s > _TRANSITION_S
-        if not self.done and silent and self._may_ask() and self._client.service_is_ready():
-            if self._call is not None:
-                self._doubtful = True
-                self._turn()
-                # The network may have introduced one direction only: a new client is introduced anew.
-                self.close()
-                self._client, self._call = self._new_client(), None
-                return
-            self._ask()
-
-    def close(self) -> None:
-        self._node.destroy_client(self._client)
-
-    def _new_client(self) -> Any:
-        return self._node.create_client(ChangeState, f"{self._name}/change_state")
-
-    def _ask(self) -> None:
-        request = ChangeState.Request()
-        request.transition.id = self._steps[0]
-        self._asked_s = time.monotonic()
-        self._call = self._client.call_async(request)
-        self._call.add_done_callback(self._on_answer)
-
-    def _on_answer(self, call: Any) -> None:
-        if call is not self._call or self.done:
-            return
-        self._call = None
-        made = bool(call.result().success)
-        self.refused = not (made or self._doubtful)
-        if self.refused:
-            return
-        if made and self._steps[0] == _ACTIVATE:
-            self._steps.clear()
-        elif self._steps == [_ACTIVATE, _CONFIGURE]:  # not configured yet, or active already
-            self._turn()
-        else:
-            self._steps.pop(0)
-        if self._may_ask():
-            self._ask()
-
-    def _turn(self) -> None:
-        if not self._held():  # whether or not it is configured, it is not asked to become active
-            self._steps.append(self._steps.pop(0))
-
-
-class LifecycleManager:
-    """Takes any number of nodes to active; call `look` regularly."""
-
-    def __init__(self, active: set[str]) -> None:
-        """`active`: processes whose diagnostics say that they are active: they get no further request."""
-        self.held: set[str] = set()  # processes whose nodes stay inactive while they are in there
-        self.refused: list[str] = []  # those that refused a transition
-        self._active = active
-        self._managed: dict[str, str] = {}  # node by process
-        self._nodes: dict[str, _ManagedTransitions] = {}
-
-    def join(self, node: Node, fleet: str) -> None:
-        """Ask from this node, in a fleet with this namespace; those that are managed may be on their way already."""
-        self._node, self._fleet = node, fleet
-        self._nodes.clear()
-        for name in self._managed:
-            self._begin(name, doubtful=True)
-
-    def manage(self, name: str, node: str) -> None:
-        """Take a node to active, from the beginning and as soon as it is there.
-
-        `name` is that of its process, as on /diagnostics; `node` is below the fleet, `/uav3/controller`.
-        """
-        self._managed[name] = node
-        self._active.discard(name)
-        self._begin(name, doubtful=False)
-
-    def _begin(self, name: str, *, doubtful: bool) -> None:
-        if name in self._nodes:
-            self._nodes[name].close()
-        self._nodes[name] = _ManagedTransitions(
-            self._node, self._fleet + self._managed[name], doubtful, lambda: name in self.held
-        )
-
-    def asked(self, name: str) -> bool:
-        """True if a transition has been requested of the process."""
-        return name not in self._nodes or self._nodes[name].asked
-
-    def look(self) -> None:
-        """Continue with all nodes that are not active yet."""
-        for name, transitions in list(self._nodes.items()):
-            if name not in self._active:
-                transitions.look()
-                if not transitions.done:
-                    continue
-            if transitions.refused:
-                self.refused.append(name)
-            transitions.close()
-            del self._nodes[name]
-
-
 class LauncherNode(FleetNode):
     """The node of a launcher, with all that a launcher does in the network."""
 
@@ -448,18 +311,11 @@ class LauncherNode(FleetNode):
         self.status = FleetStatus(self)
         self.news = FleetNews(self, shared=shared, leads=leads)
         self.leader = LeaderClient(self)
-        self.lifecycle = LifecycleManager(self.status.active)
-        self.attach(self._join_parts)
+        self.attach(self._join_orders)
 
-    def _join_parts(self) -> None:
-        self.lifecycle.join(self.node, self.endpoints.fleet)
+    def _join_orders(self) -> None:
         self._publish_order = self.endpoints.publisher(topics.EMERGENCY, 1)
 
     def send(self, order: Order) -> None:
         """Publish an order to all bridges, once."""
         self._publish_order(HeaderTemplate(order.text).encode(0))
-
-    def spin(self, seconds: float) -> None:
-        """Serve callbacks for a while, and take managed nodes on."""
-        self.lifecycle.look()
-        super().spin(seconds)

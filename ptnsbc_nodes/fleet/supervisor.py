@@ -164,7 +164,7 @@ class Supervisor:
             if may_fly and left.orphaned and left.frame and left.step not in _GIVEN_UP:
                 self._progress(f"{word}; another bridge takes it over")
                 self._reported.discard(name)
-                self._crew.start_again(child, by_itself=True)
+                self._crew.start_again(child)
                 return True
             self._progress(f"{word}; ptnsbc stop reaches it past its bridge")
         return False

@@ -16,9 +16,17 @@ from typing import Any, NamedTuple
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.bridge.procedure.steps import OVER, Step
 from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
-from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand, end
+from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.fleet.child_process import (
+    UAV,
+    ChildProcess,
+    Crew,
+    FleetOptions,
+    ProcessCommand,
+    end,
+)
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_sim.sweep.dry_run import with_starts_at
@@ -60,16 +68,14 @@ class TakeOff:
         Raises:
             FleetError: a process has ended or refuses, the deadline is over, or dry runs speak against the flight.
         """
-        # Half of a process's start is loading, half is waiting for its discovery.
-        at_once = 2 * (os.cpu_count() or 1)
         if self._options.leads:
             self._check.serve()
-        for command in commands:
-            while len(self._silent()) >= at_once and self._wait(deadline):
-                pass
-            if self._stop.came:
-                return
-            self._crew.start(command)
+        first = next((k for k, one in enumerate(commands) if one.module == UAV), len(commands))
+        self._start(commands[:first], deadline)
+        deadline = self._let_arm(deadline)
+        self._start(commands[first:], deadline)
+        if self._stop.came:
+            return
         if self._options.leads:
             self._start_flight(deadline)
             return
@@ -79,22 +85,40 @@ class TakeOff:
             names = ", ".join(child.name for child in self._crew.children)
             self._progress(f"{names}: running; the computer with the recorder starts the flight")
 
-    def _start_flight(self, deadline: float) -> None:
-        check = self._check
+    def _start(self, commands: Sequence[ProcessCommand], deadline: float) -> None:
+        # Half of a process's start is loading, half is waiting for its discovery.
+        at_once = 2 * (os.cpu_count() or 1)
+        for command in commands:
+            while len(self._silent()) >= at_once and self._wait(deadline):
+                pass
+            if not self._stop.came:
+                self._crew.start(command)
+
+    def _let_arm(self, deadline: float) -> float:
+        """Wait until UAV processes may start, without which nothing arms; return the deadline, later by that wait.
+
+        All bridges here are heard by then: `Introduction` starts none again that may be flying its vehicle.
+        """
+        check, bridged = self._check, self._options.backend == "mavlink"
+        while bridged and self._silent() and self._wait(deadline):
+            pass
         while check.holds and check.lost() and self._wait(deadline):
             pass
-        if check.holds and not self._stop.came:
-            began_s = time.monotonic()
-            if objection := check.before_arming():
-                raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
-            if self._options.objection is not None:
-                self._progress("dry runs from where the vehicles stand are met: they may arm")
-            if self._options.wait:
-                self._progress("the vehicles arm when an operator calls /formation/arm")
-                while not check.may_arm and self._wait(math.inf):
-                    pass
-            deadline += time.monotonic() - began_s
-            check.release()
+        if not check.holds or self._stop.came:
+            return deadline
+        began_s = time.monotonic()
+        if objection := check.before_arming():
+            raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
+        if self._options.objection is not None:
+            self._progress("dry runs from where the vehicles stand are met: they may arm")
+        if self._options.wait:
+            self._progress("the vehicles arm when an operator calls /formation/arm")
+            while not check.may_arm and self._wait(math.inf):
+                pass
+        check.holds = False
+        return deadline + time.monotonic() - began_s
+
+    def _start_flight(self, deadline: float) -> None:
         while self._missing() and self._wait(deadline):
             pass
         self._begin(deadline)
@@ -150,17 +174,12 @@ class TakeOff:
             ended = child.exit_code is not None and not child.command.beside
             if ended and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
-        owners = {name: c for c in self._crew.children for name in c.command.reporters}
-        for name in self._node.lifecycle.refused:
-            owner, refused = owners.get(name), f"{name} refused to be activated"
-            if owner is None:
-                raise FleetError(refused)
-            if owner.reports.running:
-                raise FleetError(f"{refused}, {owner.log}\n{owner.tail()}")
-            raise FleetError(  # it cannot have answered
-                f"{name} of another fleet is in domain {self._node.domain}: expected another domain "
-                "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
-            )
+            if child.life == 1 and not child.reports.running:
+                for name in self._node.status.waiting.keys() & set(child.command.reporters):
+                    raise FleetError(  # it cannot have reported
+                        f"{name} of another fleet is in domain {self._node.domain}: expected another domain "
+                        "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
+                    )
         if time.monotonic() > deadline:
             late, children = self._missing(), self._crew.children
             tails = [c.tail() for c in children if late.keys() & set(c.command.reporters)]
@@ -184,17 +203,17 @@ class TakeOff:
 class FlightCheck:
     """The check of a flight from where its vehicles are, once, before anything arms.
 
-    No vehicle arms before its UAV process is active. The launcher keeps these processes inactive until all bridges
-    know where their vehicles stand, none of them objects, and a flight from there, at the take-off height, is not
-    refused by `FleetOptions.objection`.
+    No vehicle arms without its UAV process. The launcher starts these processes once all bridges know where their
+    vehicles stand, none of them objects, and a flight from there, at the take-off height, is not refused by
+    `FleetOptions.objection`.
     """
 
     def __init__(self, options: FleetOptions, node: LauncherNode) -> None:
         self.may_arm = False  # an operator has called /formation/arm, and it was accepted
         self._options, self._node = options, node
         self._met = False  # nothing speaks against arming
-        if (options.objection is not None or options.wait) and options.backend == "mavlink":
-            node.lifecycle.held.update(f"uav{uav}" for uav in options.scenario.uav_ids)
+        judged = options.objection is not None or options.wait
+        self.holds = judged and options.backend == "mavlink"  # vehicles are kept from arming
 
     def serve(self) -> None:
         """Answer /formation/arm, by which an operator lets the vehicles arm."""
@@ -215,11 +234,6 @@ class FlightCheck:
 
         self._node.attach(join)
 
-    @property
-    def holds(self) -> bool:
-        """True if vehicles are kept from arming until `before_arming`."""
-        return bool(self._node.lifecycle.held)
-
     def refusal(self) -> str:
         """The reason why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
         if self._options.backend != "mavlink":
@@ -234,12 +248,8 @@ class FlightCheck:
             return "; ".join(steps)
         return "" if self._met else "dry runs from where the vehicles stand are flown: try again"
 
-    def release(self) -> None:
-        """Let the vehicles arm."""
-        self._node.lifecycle.held.clear()
-
     def before_arming(self) -> str:
-        """Judge the flight from above where the vehicles stand; without an objection they may be released."""
+        """Judge the flight from above where the vehicles stand; without an objection they may arm."""
         status, starts = self._node.status, dict[int, tuple[float, ...]]()
         if told := [f"{name}: {text}" for name, text in status.objections.items() if text]:
             return "; ".join(told)
@@ -257,8 +267,6 @@ class FlightCheck:
 
     def lost(self) -> list[str]:
         """Bridges that do not know where their vehicle is."""
-        from ptnsbc_nodes.bridge.procedure.steps import OVER, Step  # needs pymavlink
-
         early = {step.value for step in (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, *OVER)}
         vehicles, places = self._node.status.vehicles, self._node.status.places
         names = [f"bridge{uav}" for uav in self._options.scenario.uav_ids]
@@ -276,7 +284,7 @@ class Introduction:
     """Notices processes that a discovery server has left out for good, and has them introduced once more."""
 
     def __init__(self, launch: Launch) -> None:
-        self._crew, self._node, self._progress = launch.crew, launch.node, launch.progress
+        self._options, self._crew, self._node, _, self._progress = launch
         self._introduced_s: dict[str, float] = {}  # since when processes have been heard
         self._running_s: dict[str, float] = {}  # since when processes have loaded
         self._restarts: Counter[str] = Counter()
@@ -315,7 +323,15 @@ class Introduction:
     def _is_running(self, child: ChildProcess, now_s: float) -> bool:
         if child.name not in self._running_s and child.reports.running:
             self._running_s[child.name] = now_s
-        # A bridge that was asked to act may be flying its vehicle.
-        bridge = child.command.ends and child.name != SIM
-        asked = bridge and self._node.lifecycle.asked(child.name)
-        return child.name in self._running_s and not asked
+        return child.name in self._running_s and not self._may_fly(child)
+
+    def _may_fly(self, child: ChildProcess) -> bool:
+        """True if its real vehicle may arm meanwhile: there is a UAV process, for which its bridge does not wait."""
+        led = child.command.module == UAV or {*child.command.lost} & {*self._options.elsewhere}
+        vehicles = self._node.status.vehicles
+        waits = any(
+            vehicles[name].step == Step.CONTROLLER.value
+            for name in (f"bridge{uav}" for uav in child.command.uavs)
+            if name in vehicles
+        )
+        return self._options.backend == "mavlink" and bool(led) and not waits

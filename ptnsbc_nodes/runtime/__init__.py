@@ -1,1 +1,1 @@
-"""The common needs of every process: executor, signals, life cycle, parameters, environment, clocks."""
+"""The common needs of every process: executor, signals, parameters, environment, clocks."""

@@ -25,7 +25,6 @@ from rclpy.utilities import remove_ros_args
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.runtime import environment, launcher
-from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.node_parameters import fix_parameters
 from ptnsbc_nodes.runtime.provenance import add_version
 from ptnsbc_nodes.runtime.signals import install_handler, keep_exit_code
@@ -290,17 +289,15 @@ def plain_node(
 def ros_node(
     name: str,
     namespace: str,
-    *,
-    make: Any = rclpy.create_node,
     scenario: Scenario | None = None,
-) -> Iterator[Any]:
-    """One node, made by `make`, in a context that is there.
+) -> Iterator[Node]:
+    """One node in a context that is there.
 
     With a `scenario` it has the parameters of `fix_parameters`; without one it has none of the services that slow down
     each tick.
     """
     told = scenario is not None
-    node = make(
+    node = rclpy.create_node(
         name,
         namespace=namespace,
         start_parameter_services=told,
@@ -312,16 +309,3 @@ def ros_node(
         yield node
     finally:
         node.destroy_node()
-
-
-def serve_managed(
-    nodes: Sequence[ManagedNode], lifetime: ProcessLifetime, *, autostart: bool
-) -> int:
-    """Serve the managed nodes of a process until its end; returns the exit code."""
-    if autostart:
-        for node in nodes:
-            node.autostart()
-    lifetime.serve(nodes, lambda: [node.work.endpoints for node in nodes if node.work])
-    for node in nodes:
-        node.finish()
-    return int(any(node.broken for node in nodes))

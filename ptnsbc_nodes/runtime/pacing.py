@@ -150,12 +150,6 @@ class Ticker:
         wait_ns = max(delay_ns(self._now_ns(), stamp_ns, self._period_ns), _SHORTEST_NS)
         self._once = self._node.create_timer(wait_ns / SECOND_NS, self._shift)
 
-    def close(self) -> None:
-        """Destroy the timers."""
-        for timer in (self._timer, self._once):
-            if timer is not None:
-                self._node.destroy_timer(timer)
-
     def _shift(self) -> None:
         if self._once is not None:
             self._once.cancel()

@@ -26,7 +26,7 @@ _ORDERS = (topics.REQUEST, topics.LOST, topics.EMERGENCY, topics.FAULT)
 class Enclave(NamedTuple):
     """One process of a fleet, and what it may use: topics, and names of ROS, below the fleet unless they begin with /.
 
-    Every node also has parameters, a life cycle, a log and a status.
+    Every node also has parameters, a log and a status.
     """
 
     name: str
@@ -64,7 +64,7 @@ def enclaves(
         publish=(topics.OVER, *_ORDERS),
         subscribe=(topics.REQUEST, *reports, *odometry),
         reply=("formation/arm",),
-        request=("formation/*", "uav*"),
+        request=("formation/*",),
     )
     yield Enclave(  # reads everything, orders, and offers the fleet in the types of ptnsbc_interfaces
         OPERATOR,
@@ -143,11 +143,10 @@ def policy(processes: Iterable[Enclave], fleet: str = "") -> str:
         profile = ElementTree.SubElement(
             ElementTree.SubElement(enclave, "profiles"), "profile", ns=below or "/", node=node
         )
-        events = (f"{node}/transition_event" for node in process.nodes)
         status = (topics.DIAGNOSTICS, topics.READY, "/rosout", "/parameter_events")
         heard = (topics.LOST, topics.CLOCK, "/parameter_events")
         for kind, rule, names in (
-            ("topic", "publish", (*process.publish, *status, *events)),
+            ("topic", "publish", (*process.publish, *status)),
             ("topic", "subscribe", (*process.subscribe, *heard)),
             ("service", "reply", (*process.reply, *(f"{node}/*" for node in process.nodes))),
             ("service", "request", process.request),

@@ -35,7 +35,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = ProcessLifetime()
     scenario = flown(arguments, {"timing.duration_s": arguments.duration})
     options = options_of(scenario, lockstep=arguments.lockstep, recorded=arguments.recorded)
-    with ros_context(argv), ros_node("sim", "", scenario=scenario) as node:
+    with ros_context(argv), ros_node("sim", "", scenario) as node:
         if node.get_parameter(SIM_TIME).value:
             raise NodeParameterError(
                 f"parameter {SIM_TIME}: true: expected false, because the sim publishes the time"

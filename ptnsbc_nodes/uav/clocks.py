@@ -60,12 +60,6 @@ class RealTimeClock:
         if self._ticker is not None and own is not None:
             self._ticker.align(own.stamp_ns)
 
-    def stop(self) -> None:
-        """Tick no longer."""
-        if self._ticker is not None:
-            self._ticker.close()
-            self._ticker = None
-
     def cutoff_ns(self, at: StepTime) -> int:
         """A neighbour's message must be stamped before to count at a step."""
         return NO_CUTOFF_NS
@@ -134,9 +128,6 @@ class LockstepClock:
 
     def align(self, own: Stamped | None) -> None:
         """There is no timer to align."""
-
-    def stop(self) -> None:
-        """There is no timer to stop."""
 
     def cutoff_ns(self, at: StepTime) -> int:
         """A neighbour's message must be stamped before to count at a step."""

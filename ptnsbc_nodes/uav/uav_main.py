@@ -6,7 +6,6 @@ import argparse
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
 
@@ -31,7 +30,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="NAMESPACE",
         help="namespace of the fleet, for a process of several UAVs",
     )
-    parser.add_argument("--managed", action="store_true", help="wait to be configured")
     return run(parser, argv, _fly)
 
 
@@ -40,7 +38,6 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime import node_process as processes
     from ptnsbc_nodes.runtime.launcher import PARENT
-    from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
     from ptnsbc_nodes.runtime.warmup import load_agent
     from ptnsbc_nodes.uav.uav_node import UavNode
 
@@ -50,26 +47,23 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     scenario = processes.flown(arguments)
     how = {name: getattr(arguments, name) for name in ("lockstep", "recorded", "bridged")}
     options = processes.options_of(scenario, **how)
-
-    def configured(node: ManagedNode, uav: int) -> UavNode:
-        graph = CommunicationGraph(scenario, options)
-        return UavNode(node, scenario, uav, graph, on_abandoned)
-
+    graph = CommunicationGraph(scenario, options)
     with ExitStack() as stack:
         stack.enter_context(processes.ros_context(argv))
-        nodes: list[ManagedNode] = []
+        uavs: list[UavNode] = []
         for uav in arguments.uav:
             namespace = f"{arguments.fleet}/uav{uav}"
-            made = processes.ros_node("controller", namespace, make=ManagedNode, scenario=scenario)
-            node: ManagedNode = stack.enter_context(made)
+            node = stack.enter_context(processes.ros_node("controller", namespace, scenario))
             load_agent(scenario, scenario.uav(uav).id)
-            node.assign(partial(configured, node, uav), lifetime.end)
-            nodes.append(node)
+            uavs.append(UavNode(node, scenario, uav, graph, on_abandoned))
         if options.lockstep:
             environment.prefer_throughput()
         elif options.bridged:
             environment.prefer_punctuality()
-        return processes.serve_managed(nodes, lifetime, autostart=not arguments.managed)
+        for one in uavs:
+            one.start()
+        lifetime.serve([one.node for one in uavs], lambda: [one.endpoints for one in uavs])
+    return 0
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import (
-    INACTIVE,
     SAFETY,
     Concern,
     DiagnosticLevel,
@@ -41,7 +40,6 @@ class PlannerSight(NamedTuple):
     """The observations of a UAV process on its inputs and its flight; an empty text says that nothing is wrong."""
 
     holding: bool = False
-    inactive: bool = False
     odometry_stale: bool = False
     slots_fault: str = ""  # why it does not know its slot
     deadlock: bool = False  # it climbs out of one
@@ -61,9 +59,6 @@ def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
     its own odometry sends no setpoint, because a setpoint is the proof of life for its vehicle.
     """
     error, warn = DiagnosticLevel.ERROR, DiagnosticLevel.WARN
-    if sight.inactive:  # it was told to be: nothing else of it counts
-        yield Concern(SafetyState.STOP, warn, "inactive")
-        return
     if sight.odometry_stale:
         yield Concern(SafetyState.STOP, error, "own odometry is stale: no setpoints")
     if sight.slots_fault:
@@ -87,7 +82,7 @@ def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
 
 
 class UavNode:
-    """The controller of one UAV: one rclpy node, one tick; it only listens until `activate`."""
+    """The controller of one UAV: one rclpy node, one tick; it only listens until `start`."""
 
     def __init__(
         self,
@@ -100,7 +95,6 @@ class UavNode:
         """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
         self.node = node
         self._recorded = edges.options.recorded
-        self._active = False
         self._on_abandoned = on_abandoned
         self._vehicle_seen_s: float | None = None
         lockstep = edges.options.lockstep
@@ -120,7 +114,7 @@ class UavNode:
         self._reported_missed = 0
         self._leg_services = self._services(edges)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         if not self._clock.lockstep:
             self.endpoints.last_word = lambda: self._report(self._clock.now_ns())
 
@@ -129,25 +123,9 @@ class UavNode:
         """True if a leg has been announced."""
         return self.flight.epochs.announced
 
-    def activate(self) -> None:
-        """Begin to tick. In real time control begins anew, where the vehicle is by then."""
-        self._active = True
-        if not self._clock.lockstep:
-            self.flight.controller.restart()
+    def start(self) -> None:
+        """Begin to tick."""
         self._clock.start(self._advance)
-
-    def deactivate(self) -> None:
-        """Publish nothing but diagnostics; go on listening."""
-        self._active = False
-        self._clock.stop()
-
-    def close(self) -> None:
-        """Remove everything from the node."""
-        self.deactivate()
-        self.node.destroy_timer(self._timer)
-        if self._leg_services is not None:
-            self._leg_services.close()
-        self.endpoints.close()
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end; in real time also an odometry that has not arrived yet.
@@ -156,8 +134,6 @@ class UavNode:
         ends is no reason to wait.
         """
         missing, early = self.endpoints.unheard(), not self.begun
-        if not self._active:
-            missing.append(INACTIVE)
         if early:
             missing += self.endpoints.contested()
         if self._clock.lockstep:
@@ -211,7 +187,7 @@ class UavNode:
 
     def _advance(self) -> None:
         """Do the tick if one is due."""
-        at = self._clock.due(self.flight) if self._active else None
+        at = self._clock.due(self.flight)
         if at is None:
             return
         step = self.flight.step(at, self._clock.cutoff_ns(at))
@@ -243,7 +219,6 @@ class UavNode:
             silent = flight.inbox.silent_estimates(stamp_ns, stale_ns)
         sight = PlannerSight(
             holding=flying and controller.counters.holding,
-            inactive=not self._active,
             odometry_stale=not clock.lockstep and controller.odometry_stale(stamp_ns),
             slots_fault=flight.slots_fault(leg),
             deadlock=flying and controller.counters.deadlock,

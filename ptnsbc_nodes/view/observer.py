@@ -83,7 +83,7 @@ class Observer(FleetNode):
             self._listener.look()
 
     def scenario(self, patience_s: float, stopped: Callable[[], bool]) -> Scenario:
-        """The scenario of the fleet, from one of its UAVs.
+        """The scenario of the fleet, from one of its UAVs or bridges.
 
         Raises:
             PtnsbcError: no UAV answers in this time, or `stopped` says so.
@@ -93,8 +93,9 @@ class Observer(FleetNode):
         while time.monotonic() < end and not stopped():
             for name, namespace in self.node.get_node_names_and_namespaces():
                 found = _CONTROLLER.fullmatch(namespace)
-                if name == "controller" and found and found[1] == self.endpoints.fleet:
-                    text = self._text(f"{namespace}/controller", end)
+                ours = found and found[1] == self.endpoints.fleet
+                if ours and name in ("controller", "bridge"):  # UAVs start when vehicles may arm
+                    text = self._text(f"{namespace}/{name}", end)
                     if text is not None:
                         return scenario_of(text)
             self.spin(_LOOK_S)

@@ -63,7 +63,7 @@ class Others:
         self.uav = UavNode(
             ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges
         )
-        self.uav.activate()
+        self.uav.start()
         ros.spin_until(lambda: not ends.unread() and not ends.unheard())
 
     @staticmethod

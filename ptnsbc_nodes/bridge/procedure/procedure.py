@@ -313,9 +313,8 @@ def _state(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
 def _controller(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     if now.state_fault:
         return Transition(Step.STATE)
-    if now.controller_held:
-        flight.memory = StepMemory(now.now_s)  # the limit is for a controller that may act
-        return None
+    if now.controller_absent:
+        flight.memory.since_s = now.now_s  # the limit is for a process that is there
     good = now.controller_ready and now.controller_age_s < STALE_S
     settled = flight.memory.good.update(good, now.now_s) >= _SETTLED_S
     return Transition(Step.STREAM) if settled else None

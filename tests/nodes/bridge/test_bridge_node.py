@@ -1,4 +1,4 @@
-"""The bridge as a managed node: when it may be deactivated, and what it tells others of its vehicle."""
+"""The bridge as a node: what it tells others of its vehicle, and which orders it obeys."""
 
 import math
 import subprocess
@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("pymavlink")
 
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
@@ -22,7 +21,7 @@ from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_io.wire import OdometryTemplate, checked_near
 from ptnsbc_nodes.bridge import near_objects
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions, FlyingError
+from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
 from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics
@@ -47,12 +46,10 @@ from ptnsbc_nodes.emergency import (
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.fleet.fleet import FleetOptions, _listed
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
-from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 UAV = 3
 
 
@@ -65,27 +62,18 @@ def bridge(ros, monkeypatch):
     def make(fleet="", scenario=None):
         scenario = scenario or load_scenario("experiment_4").bridged()
         edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
-        node = ManagedNode(
-            "bridge", namespace=f"{fleet}/uav{UAV}", context=ros.context, enable_rosout=False
-        )
-        ros.adopt(node)
-
-        def configure():
-            link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
-            bridge_node = BridgeNode(
-                node, scenario, UAV, edges, link, BridgeOptions(True), lambda _: None
-            )
-            bridge_node.bridge.wait_and_serve = lambda: None
-            return bridge_node
-
-        node.assign(configure, lambda: None)
-        node.autostart()
-        made.append(node)
-        return node
+        node = ros.node("bridge", namespace=f"{fleet}/uav{UAV}")
+        link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
+        options = BridgeOptions(allow_arming=True)
+        bridge_node = BridgeNode(node, scenario, UAV, edges, link, options, lambda _: None)
+        bridge_node.bridge.wait_and_serve = lambda: None
+        bridge_node.start()
+        made.append(bridge_node)
+        return bridge_node
 
     yield make
     for node in made:
-        node.work.close()
+        node.close()
 
 
 @pytest.fixture
@@ -93,34 +81,12 @@ def active(bridge):
     return bridge()
 
 
-@pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.LAND])
-def test_in_flight_it_refuses_to_be_deactivated(active, step):
-    bridge = active.work.bridge
-    bridge.vehicle.armed = True
-    bridge.procedure.step = step
-    assert active.trigger_deactivate() is FAILURE
-    assert isinstance(active.refusal, FlyingError)
-    assert f"bridge3: {step.value}: expected a vehicle that is not flown" in str(active.refusal)
-    assert active.state == "active"
-    bridge.vehicle.armed = False
-    assert active.trigger_deactivate() is SUCCESS
-    assert active.state == "inactive"
-
-
-@pytest.mark.parametrize("step", [Step.HEARTBEAT, Step.YIELDED])
-def test_a_vehicle_that_a_pilot_flies_may_be_left(active, step):
-    active.work.bridge.vehicle.armed = True
-    active.work.bridge.procedure.step = step
-    assert active.trigger_deactivate() is SUCCESS
-    assert active.trigger_activate() is SUCCESS
-
-
 def test_the_battery_is_published_once_it_is_known(ros, active):
     heard = []
     viewer = Endpoints(ros.node("viewer"), lockstep=False)
     viewer.listen(topics.battery(UAV), bytes, heard.append)
     ros.spin_until(lambda: not viewer.unheard())
-    active.work.bridge.vehicle.battery.newest = Battery(15.8, None, 75.0)
+    active.bridge.vehicle.battery.newest = Battery(15.8, None, 75.0)
     ros.spin_until(lambda: heard)
     message = deserialize_message(heard[0], BatteryState)
     assert (message.voltage, message.percentage) == (pytest.approx(15.8), 0.75)
@@ -132,7 +98,7 @@ def test_with_near_links_it_sees_a_vehicle_that_its_uav_does_not_avoid(ros, brid
     """In `figure_eight_4` UAV 3 and UAV 4 share no edge; the separation of the two is watched all the same."""
     for silence in ("_MOVING_S", "_SILENT_S"):  # on a busy machine nobody has fallen silent
         monkeypatch.setattr(near_objects, silence, math.inf)
-    work = bridge(scenario=load_scenario("figure_eight_4", {"mavlink.near": "links"})).work
+    work = bridge(scenario=load_scenario("figure_eight_4", {"mavlink.near": "links"}))
     heard, inputs = [], work.bridge.ports.inputs
     viewer = Endpoints(ros.node("viewer"), lockstep=False)
     viewer.listen(topics.near(UAV), checked_near, heard.append, required=False)
@@ -195,7 +161,7 @@ def listens_for_orders(ros, active, hear):
     """Another bridge, met by this one."""
     viewer = Endpoints(ros.node("viewer"), lockstep=False)
     viewer.listen(topics.EMERGENCY, decode_order, hear, required=False)
-    readers = active.work.endpoints.readers(topics.EMERGENCY)
+    readers = active.endpoints.readers(topics.EMERGENCY)
     ros.spin_until(lambda: readers() == 2)  # itself and the other
 
 
@@ -206,8 +172,8 @@ def test_the_others_are_told_at_once_that_the_formation_is_given_up(ros, active,
     """Also when this vehicle lands in the same tick, long before the next status."""
     heard, order = [], []
     listens_for_orders(ros, active, heard.append)
-    active.work.node.destroy_timer(active.work._status_timer)  # nothing is repeated
-    bridge = active.work.bridge
+    active.node.destroy_timer(active._status_timer)  # nothing is repeated
+    bridge = active.bridge
     bridge.procedure.step = Step.FLY
     flies = VehicleSnapshot(
         time.monotonic(), heartbeat_age_s=0.1, controller_age_s=0.1, mode=FlightMode.OWN, armed=True
@@ -227,7 +193,7 @@ def test_the_others_are_told_at_once_that_the_formation_is_given_up(ros, active,
 def test_a_vehicle_that_lands_in_the_tick_of_giving_up_tells_the_others_too(ros, active):
     heard = []
     listens_for_orders(ros, active, heard.append)
-    bridge = active.work.bridge
+    bridge = active.bridge
     bridge.procedure.step = Step.FLY
     bridge.snapshot = lambda now_s: VehicleSnapshot(
         now_s,
@@ -256,7 +222,7 @@ def test_a_bridge_that_starts_while_an_order_holds_obeys_it(
     ros, bridge, order, armed, step, command
 ):
     latch(runtime_folder(ros.domain), order)
-    work = bridge().work
+    work = bridge()
     assert work.bridge.ports.inputs.order == order
     work.bridge.vehicle.armed, work.bridge.vehicle.mode_name = armed, "OFFBOARD"
     work.bridge.vehicle.heartbeat_s = time.monotonic()
@@ -282,7 +248,7 @@ def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge)
     folder = runtime_folder(ros.domain)
     left_in_flight(ros)
     list_fleet(folder, ["bridge3"])
-    work = bridge().work
+    work = bridge()
     assert work.bridge.procedure.takes_over
     assert work.bridge.state_publisher.world.offset.tolist() == [1.0, 2.0, 3.0]
     assert work.orders.keep().frame == "1.0 2.0 3.0"
@@ -307,7 +273,7 @@ def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge)
 @pytest.mark.parametrize("changes", [{"armed": False}, {"in_pilots_hands": True}, {"connect": "x"}])
 def test_what_was_not_left_in_flight_is_not_remembered(ros, bridge, changes):
     left_in_flight(ros, **changes)
-    work = bridge().work
+    work = bridge()
     assert not (work.orders.keep().armed or work.bridge.procedure.takes_over)
 
 
@@ -315,7 +281,7 @@ def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridg
     folder = runtime_folder(ros.domain)
     latch(folder, Order(KILL))
     release(folder)
-    work = bridge().work
+    work = bridge()
     assert work.bridge.ports.inputs.order == Order()
     assert work.exit_code == 0
 
@@ -323,7 +289,7 @@ def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridg
 def test_an_order_that_a_bridge_heard_holds_for_the_next_one(ros, active):
     """`apart` is of one flight and holds for no other."""
     folder = runtime_folder(ros.domain)
-    active.work.orders.on_order(Order(APART))
+    active.orders.on_order(Order(APART))
     assert latched(folder) == Order()
-    active.work.orders.on_order(Order(LAND))
+    active.orders.on_order(Order(LAND))
     assert latched(folder) == Order(LAND)

@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import Endpoints, wait_for_readers
+from ptnsbc_nodes.comm.endpoints import Endpoints, fleet_namespace, wait_for_readers
 from ptnsbc_nodes.comm.seal import Seal
 
 pytestmark = pytest.mark.ros
@@ -167,3 +167,11 @@ def test_readers_that_do_not_answer_end_the_wait_when_it_is_over():
     assert not wait_for_readers([publisher], 0.0)
     publisher.read.set()
     assert wait_for_readers([publisher], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("namespace", "fleet"),
+    [("/", ""), ("/uav3", ""), ("/a", "/a"), ("/a/uav3", "/a"), ("/a/b/uav12", "/a/b")],
+)
+def test_names_are_relative_to_the_namespace_of_the_fleet(namespace, fleet):
+    assert fleet_namespace(namespace) == fleet

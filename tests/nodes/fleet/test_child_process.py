@@ -150,7 +150,7 @@ def test_a_process_that_is_killed_at_work_has_no_summary(program):
 
 
 def test_a_process_that_replaces_another_has_a_log_of_its_own(tmp_path):
-    crew = Crew(environment.for_children(5, 1, tmp_path), tmp_path, None)
+    crew = Crew(environment.for_children(5, 1, tmp_path), tmp_path)
     crew.start(ProcessCommand("bridge1", "no.such.module", ()))
     wait_for_exit(dead := crew.children[0])
     crew.start_again(dead)

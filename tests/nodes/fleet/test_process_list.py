@@ -85,7 +85,8 @@ def test_the_fault_of_one_uav_must_not_strike_those_beside_it(paper_5):
 
 
 def test_the_operators_interface_runs_beside_the_computer_that_leads(paper_5):
-    assert list(started(FleetOptions(paper_5, operator=True)))[-2:] == ["sim", "operator"]
+    """Before the UAVs: by it an operator lets vehicles arm, which wait for their UAV processes."""
+    assert list(started(FleetOptions(paper_5, operator=True)))[:2] == ["operator", "uav1"]
     for only, there in (("recorder,sim,1", True), ("2,3,4,5", False)):
         chosen_here = chosen(only, paper_5, "sim")
         found = started(FleetOptions(paper_5, operator=True, only=chosen_here))

@@ -43,9 +43,9 @@ signal.pause()
 
 def supervisor_of(options, node, children=(), stop=None, progress=print):
     """A supervisor of these processes; `node` is all parts of the launcher's node."""
-    node.status = node.lifecycle = node.leader = node.news = node
+    node.status = node.leader = node.news = node
     node.folder = getattr(node, "folder", Path("no folder"))
-    crew = Crew({}, Path(), node)
+    crew = Crew({}, Path())
     crew.children.extend(children)
     faults = FaultInjector(options, progress, crew.start_again)
     return Supervisor(Launch(options, crew, node, stop, progress), faults)
@@ -249,7 +249,7 @@ def test_a_bridge_that_takes_over_in_the_landing_is_waited_for(monkeypatch, tmp_
     fleet = Fleet(monkeypatch, tmp_path, "bridge1")
     another, children = Bridge("bridge1"), fleet.supervisor._crew.children
 
-    def start_again(child, *, by_itself):
+    def start_again(child):
         children[children.index(child)] = another
 
     fleet.supervisor._crew.start_again = start_again
@@ -408,8 +408,7 @@ def dead():
 def test_a_bridge_that_dies_in_flight_is_replaced_three_times_at_most(monkeypatch, tmp_path, dead):
     fleet, started = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2"), []
 
-    def start_again(child, *, by_itself):
-        assert by_itself
+    def start_again(child):
         started.append(Bridge(child.name))
         fleet.supervisor._crew.children[0] = started[-1]
 

@@ -23,12 +23,11 @@ class Vehicles:
     """The launcher's node as the check sees it; all vehicles stand a metre east of their starts."""
 
     def __init__(self):
-        self.held = set()
         self.places = {f"bridge{i}": (*self.spot(i), 0.1) for i in IDS}
         self.vehicles = {name: vehicle(Step.CONTROLLER) for name in self.places}
         self.measured = {i: (*self.spot(i), HEIGHT_M + 0.1) for i in IDS}
         self.started, self.objections = [], {}
-        self.lifecycle = self.status = self.leader = self
+        self.status = self.leader = self
 
     @staticmethod
     def spot(uav):
@@ -68,14 +67,12 @@ def check_of(vehicles, judges, **more):
     return FlightCheck(options, vehicles)
 
 
-def test_no_uav_process_becomes_active_before_the_flight_is_judged_from_above_the_vehicles():
+def test_the_flight_is_judged_from_above_the_vehicles():
     vehicles, (judges, seen) = Vehicles(), judge()
     check = check_of(vehicles, judges)
-    assert vehicles.held == {f"uav{i}" for i in IDS} and check.holds
+    assert check.holds
     assert check.before_arming() == ""
     assert seen == [{i: pytest.approx(place) for i, place in vehicles.measured.items()}]
-    check.release()
-    assert vehicles.held == set() and not check.holds
 
 
 def test_a_vehicle_that_a_pilot_flew_up_is_judged_where_it_is():
@@ -134,7 +131,7 @@ def test_an_operator_lets_vehicles_arm_once_all_know_where_they_are_and_the_flig
     assert check.refusal().startswith("dry runs")
     check.before_arming()
     assert check.refusal() == "" and len(seen) == 1
-    check.release()
+    check.holds = False
     assert check.refusal() == "the vehicles may arm already"
 
 
@@ -145,7 +142,7 @@ def test_without_dry_runs_too_vehicles_wait_for_their_operator():
 
     def look(take_off):
         order = next(orders)
-        assert bool(vehicles.held) == (order == "arm")
+        assert take_off._check.holds == (order == "arm")
         take_off._check.may_arm, vehicles.begun = True, order == "start"
 
     said = launched(vehicles, None, look, wait=True)
@@ -154,17 +151,18 @@ def test_without_dry_runs_too_vehicles_wait_for_their_operator():
     assert said[1].endswith("when an operator calls /formation/start")
 
 
-def launched(vehicles, judges, look=lambda _: None, **more):
+def launched(vehicles, judges, look=lambda _: None, commands=(), **more):
     options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
     stop, said = SimpleNamespace(came=False), []
-    take_off = TakeOff(Launch(options, Crew({}, None, vehicles), vehicles, stop, said.append))
+    take_off = TakeOff(Launch(options, Crew({}, None), vehicles, stop, said.append))
 
     def wait(_deadline):
         look(take_off)
         return True
 
     take_off._wait = wait
-    take_off._start_flight(0.0)
+    vehicles.attach = lambda _join: None
+    take_off.run(commands, 0.0)
     return said
 
 
@@ -186,6 +184,63 @@ def test_the_dry_runs_are_flown_once_wherever_the_vehicles_have_drifted_in_the_a
     assert len(seen) == 1 and len(vehicles.started) == 1
 
 
+BRIDGE_AND_UAV = [
+    ProcessCommand("bridge1", child_process.BRIDGE, (), (1,), ends=True),
+    ProcessCommand("uav1", child_process.UAV, (), (1,)),
+]
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Names of the processes that were started, in their order."""
+    names = []
+
+    def launch(command, *_):
+        names.append(command.name)
+        return Loaded(command)
+
+    monkeypatch.setattr(child_process, "ChildProcess", launch)
+    return names
+
+
+def test_without_its_uav_process_nothing_arms_and_that_is_started_when_the_flight_is_judged(
+    started,
+):
+    vehicles = Vehicles()
+    vehicles.waiting = {}
+
+    def look(_take_off):
+        assert started == ["bridge1"] or vehicles.waiting
+        vehicles.waiting["bridge1"] = "waiting for setpoints"
+
+    def judges(_scenario):
+        assert started == ["bridge1"]
+        return ""
+
+    launched(vehicles, judges, look, commands=BRIDGE_AND_UAV)
+    assert started == ["bridge1", "uav1"] and len(vehicles.started) == 1
+
+
+def test_no_uav_process_is_started_for_a_flight_that_is_refused(started):
+    vehicles = Vehicles()
+    vehicles.waiting = {"bridge1": ""}
+    with pytest.raises(FleetError, match="stand nothing is armed: UAV 2 is late"):
+        launched(vehicles, judge("UAV 2 is late")[0], commands=BRIDGE_AND_UAV)
+    assert started == ["bridge1"]
+
+
+def test_without_any_check_too_a_bridge_is_heard_before_its_vehicle_may_arm(started):
+    vehicles, seen = Vehicles(), []
+    vehicles.waiting = {}
+
+    def look(_take_off):
+        seen.append([*started])
+        vehicles.waiting["bridge1"] = ""
+
+    launched(vehicles, None, look, commands=BRIDGE_AND_UAV)
+    assert seen[0] == ["bridge1"] and started == ["bridge1", "uav1"]
+
+
 class Loaded:
     """A process that has loaded."""
 
@@ -199,33 +254,27 @@ class Loaded:
 class Network:
     """The node of a launcher that hears some processes; the others wait to be introduced."""
 
-    def __init__(self, heard=(), sees=(), asked=()):
-        self.status = self.lifecycle = self
+    def __init__(self, heard=(), sees=(), steps=None):
+        self.status = self
         self.waiting = dict.fromkeys(heard, "")
-        self.seen, self.was_asked = sees, asked
-        self.done = []
+        self.vehicles = {name: vehicle(step) for name, step in (steps or {}).items()}
+        self.seen, self.done = sees, []
 
     def sees(self, node):
         return node in self.seen
 
-    def asked(self, name):
-        return name in self.was_asked
-
     def rejoin(self):
         self.done.append("joined again")
-
-    def manage(self, name, _node):
-        self.done.append(f"managed {name}")
 
 
 @pytest.fixture
 def renewed(monkeypatch):
     monkeypatch.setattr(takeoff, "_UNHEARD_S", 0.0)
 
-    def renewed(network: Network, *names: str, looks: int = 1) -> tuple[list[str], list[str]]:
+    def renewed(network, *names, looks=1, **options):
         """The steps taken about processes that have loaded, and the arguments of those started again."""
-        crew = Crew({}, None, network)
-        introduction = takeoff.Introduction(Launch(None, crew, network, None, lambda _: None))
+        crew, fleet = Crew({}, None), FleetOptions(SCENARIO, **options)
+        introduction = takeoff.Introduction(Launch(fleet, crew, network, None, lambda _: None))
         started: list[str] = []
         monkeypatch.setattr(takeoff, "end", lambda ended: network.done.append(ended[0].name))
 
@@ -235,10 +284,10 @@ def renewed(monkeypatch):
 
         monkeypatch.setattr(child_process, "ChildProcess", launch)
         for name in names:
-            command = ProcessCommand(
-                name, "none", (), managed=f"/{name}", ends=name.startswith("bridge")
-            )
-            crew.children.append(Loaded(command))
+            kind, number = name.rstrip("0123456789"), name.lstrip("abcdefghijklmnopqrstuvwxyz")
+            module = {"bridge": child_process.BRIDGE, "uav": child_process.UAV}.get(kind, kind)
+            uavs = (int(number),) if number else ()
+            crew.children.append(Loaded(ProcessCommand(name, module, (), uavs)))
         for _ in range(looks):
             introduction.look()
         return network.done, started
@@ -248,7 +297,7 @@ def renewed(monkeypatch):
 
 def test_a_process_that_nobody_hears_is_started_again(renewed):
     done, _ = renewed(Network(heard=["uav1"]), "uav1", "uav2")
-    assert done == ["uav2", "managed uav2"]
+    assert done == ["uav2"]
 
 
 def test_who_is_heard_is_left_alone(renewed):
@@ -264,35 +313,35 @@ def test_a_recorder_that_is_left_out_replaces_its_own_empty_bag(renewed):
 
 def test_a_launcher_that_hears_nobody_joins_again_before_it_ends_a_process(renewed):
     done, _ = renewed(Network(), "uav1", "uav2", looks=2)
-    assert done == ["joined again", "uav1", "managed uav1"]
+    assert done == ["joined again", "uav1"]
 
 
-def test_a_bridge_that_was_asked_to_act_may_be_flying(renewed):
-    assert renewed(Network(heard=["uav1"], asked=["bridge1"]), "uav1", "bridge1")[0] == []
-    done, _ = renewed(Network(heard=["uav1"]), "uav1", "bridge1")
-    assert done == ["bridge1", "managed bridge1"]
+def test_a_process_that_may_fly_a_real_vehicle_is_left_alone(renewed):
+    """The launcher does not hear it, but the others may: without its UAV process a vehicle arms nothing."""
+    real = {"backend": "mavlink"}
+    assert renewed(Network(heard=["bridge2"]), "bridge2", "bridge1", **real)[0] == ["bridge1"]
+    elsewhere = frozenset({"recorder", "bridge1", "bridge2"})
+    assert (
+        renewed(Network(heard=["bridge2"]), "bridge2", "bridge1", only=elsewhere, **real)[0] == []
+    )
+    for step, done in ((Step.CONTROLLER, ["uav1"]), (Step.STREAM, []), (Step.FLY, [])):
+        heard = Network(heard=["bridge1"], steps={"bridge1": step})
+        assert renewed(heard, "bridge1", "uav1", **real)[0] == done
+    assert renewed(Network(heard=["uav2"]), "uav2", "uav1", **real)[0] == []
 
 
-@pytest.mark.parametrize(
-    ("running", "says"),
-    [
-        (False, "uav1 of another fleet is in domain 7: expected another domain"),
-        (True, "uav1 refused to be activated, uav1.log"),
-    ],
-)
-def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(running, says):
+@pytest.mark.parametrize("running", [False, True])
+def test_a_uav_that_is_heard_before_its_process_has_loaded_is_of_another_fleet(running):
     node = SimpleNamespace(
-        domain=7,
-        lifecycle=SimpleNamespace(held=set(), refused=["uav1"]),
-        status=SimpleNamespace(waiting={}, missing=lambda names: dict.fromkeys(names, "its first")),
-        attach=lambda _join: None,
-        spin=lambda _seconds: None,
+        domain=7, status=SimpleNamespace(waiting={"uav1": ""}), spin=lambda _seconds: None
     )
     child = Loaded(ProcessCommand("uav1", "module", (), (1,)))
-    child.log, child.tail = "uav1.log", lambda: ""
     child.reports = SimpleNamespace(running=running)
-    options, stop = FleetOptions(load_scenario("paper_5")), SimpleNamespace(came=False)
-    crew = Crew({}, None, node.lifecycle)
+    crew, stop = Crew({}, None), SimpleNamespace(came=False)
     crew.children.append(child)
-    with pytest.raises(FleetError, match=says):
-        TakeOff(Launch(options, crew, node, stop, print)).run([], math.inf)
+    take_off = TakeOff(Launch(FleetOptions(load_scenario("paper_5")), crew, node, stop, print))
+    if running:
+        assert take_off._wait(math.inf)
+        return
+    with pytest.raises(FleetError, match="uav1 of another fleet is in domain 7: expected another"):
+        take_off._wait(math.inf)

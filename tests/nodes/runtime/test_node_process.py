@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 from domain_ports import first_port
-from own_services import LIFECYCLE, PARAMETERS
+from own_services import PARAMETERS
 
 pytest.importorskip("rclpy")
 
@@ -57,7 +57,7 @@ def commands(tmp_path, domain):
     """Name in the graph of each kind of process: how it is started."""
     found = {
         "/uav1/controller": ("uav.uav_main", "--scenario", "paper_5", "--uav", 1),
-        "/uav2/controller": ("uav.uav_main", "--scenario", "paper_5", "--uav", 2, "--managed"),
+        "/uav2/controller": ("uav.uav_main", "--scenario", "paper_5", "--uav", 2, "--lockstep"),
         "/sim": ("sim.sim_main", "--scenario", "paper_5"),
         "/recorder": ("recording.recorder_main", "--bag", tmp_path / "bag", "--uavs", 1, 2),
     }
@@ -280,16 +280,15 @@ def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name)
         pytest.skip("pymavlink is not installed")
     process, looker = start(*words), ros.node("looker")
     space, _, node = name.rpartition("/")
-    managed = name.endswith("bridge")
-    kind = "bridge" if managed else "sim"
-    own = {f"{name}/{service}" for service in (PARAMETERS | LIFECYCLE if managed else PARAMETERS)}
+    kind = "bridge" if name.endswith("bridge") else "sim"
+    own = {f"{name}/{service}" for service in PARAMETERS}
     asked = {
         "publishes": looker.get_publisher_names_and_types_by_node,
         "hears": looker.get_subscriber_names_and_types_by_node,
         "serves": looker.get_service_names_and_types_by_node,
         "calls": looker.get_client_names_and_types_by_node,
     }
-    besides = {"/parameter_events", "/rosout", *([f"{name}/transition_event"] if managed else ())}
+    besides = {"/parameter_events", "/rosout"}
     if topics.tf_is_available():
         besides.add(topics.TF.name)
     expected = {

@@ -71,7 +71,6 @@ def test_alignments_in_a_row_do_not_stop_the_ticks(ros, apart_s):
     if apart_s:
         assert count > 10  # the alignments themselves lasted 40 periods
     ros.spin_until(lambda: len(ticks) > count + 10, timeout=30.0)
-    ticker.close()
 
 
 STEP_NS = 10_000_000

@@ -45,7 +45,7 @@ def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, s
     """What is to be recorded must be heard from the first step on; a recorder that dies stops nobody."""
     edges = CommunicationGraph(scenario, FlightOptions(recorded=True))
     uav = UavNode(ros.node("controller"), scenario, FOLLOWER, edges)
-    uav.activate()
+    uav.start()
     said = {topics.tick(FOLLOWER).name, topics.snapshot(FOLLOWER).name}
     assert said <= set(uav.waiting_for())
     assert topics.wrench_setpoint(FOLLOWER).name in uav.waiting_for()
@@ -73,7 +73,7 @@ def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, s
         LEADER,
         CommunicationGraph(scenario, FlightOptions(recorded=True)),
     )
-    uav.activate()
+    uav.start()
     for number in range(2 * len(scenario.uav_ids)):
         Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, bytes, lambda _: None)
     epochs = uav.endpoints.readers(topics.EPOCH)
@@ -177,7 +177,6 @@ def test_a_uav_whose_vehicle_is_gone_for_good_ends(ros, scenario):
         ({"intruder": "/b: again"}, SafetyState.DEGRADED, "/b: again"),
         ({"holding": True}, SafetyState.HOLD_CLEAR, "holding"),
         ({"holding": True, "slots_fault": "no slots"}, SafetyState.HOLD_CLEAR, "no slots"),
-        ({"inactive": True, "holding": True}, SafetyState.STOP, "inactive"),
         (
             {"odometry_stale": True, "clock_offset": "clock 0.2 s ahead"},
             SafetyState.STOP,

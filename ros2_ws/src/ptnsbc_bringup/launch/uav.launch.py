@@ -3,7 +3,7 @@
     ros2 launch ptnsbc_bringup uav.launch.py uav:=2 scenario:=paper_5
     ros2 launch ptnsbc_bringup uav.launch.py uav:=2 scenario:=experiment_4 bridge:=true allow_arming:=true
 
-Both nodes activate themselves, and the formation starts when the leader is told to:
+The vehicle arms when all UAVs of the fleet are ready, and the formation starts when the leader is told to:
 
     ros2 service call /formation/start std_srvs/srv/Trigger
 
@@ -56,12 +56,6 @@ def generate_launch_description() -> LaunchDescription:
                 description="be ready only when a recorder listens",
             ),
             argument(
-                "autostart",
-                default_value="true",
-                choices=FLAGS,
-                description="false: wait to be configured and activated",
-            ),
-            argument(
                 "use_sim_time", default_value="false", choices=FLAGS, description="follow /clock"
             ),
             OpaqueFunction(function=uav),
@@ -79,14 +73,15 @@ def uav(context: LaunchContext) -> list[Node]:
     common += ["--uav", told("uav"), "--scenario", told("scenario")]
     for setting in shlex.split(told("set")):
         common += ["--set", setting]
-    if told("autostart") != "true":
-        common.append("--managed")
     bridged = told("bridge") == "true"
     controller = _node("uav", [*common, *(["--bridged"] if bridged else [])], told)
     if not bridged:
         return [controller]
     arming = ["--allow-arming"] if told("allow_arming") == "true" else []
-    return [controller, _node("bridge", [*common, *arming], told, sigterm_timeout=LANDING_S)]
+    return [
+        controller,
+        _node("bridge", [*common, "--with-fleet", *arming], told, sigterm_timeout=LANDING_S),
+    ]
 
 
 def _node(executable, arguments, told, **patience) -> Node:

@@ -112,10 +112,10 @@ def test_every_step_before_arming_has_a_limit_and_a_reason(changes, reason):
     assert CommandRequest.ARM not in flight.requested()
 
 
-def test_a_bridge_waits_for_a_controller_that_its_launcher_holds_and_then_within_the_limit():
-    flight = Flight().run(400.0, controller_held=True)
+def test_a_bridge_waits_for_a_controller_that_is_still_to_be_started_and_then_within_the_limit():
+    flight = Flight().run(400.0, controller_absent=True, controller_ready=False)
     assert flight.procedure.step is Step.CONTROLLER
-    flight.run(170.0, controller_held=False, controller_ready=False)
+    flight.run(170.0, controller_absent=False)
     assert flight.procedure.step is Step.CONTROLLER
     flight.run(until=Step.FAILED)
     assert "controller: not within 180 s" in flight.procedure.fault
