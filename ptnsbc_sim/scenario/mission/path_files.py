@@ -22,12 +22,10 @@ FORMS = (
     "rows t, x, y, z, yaw; rows x, y, z, yaw with speed_m_s or rate_hz; poses of TUM; polynomials of uav_trajectories; "
     "a .skyc of Skybrush; a .plan of QGroundControl"
 )
-POLYNOMIALS = tuple(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(COEFFICIENTS))
-"""Columns behind the duration of a piece; without a heading the first 24."""
-
 HOME = "plan_home"
 """The key of the home of a plan, until the scenario is whole."""
 
+_POLYNOMIALS = tuple(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(COEFFICIENTS))
 _POSES = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _MOST_BYTES = 20_000_000  # of a file in a show
 _WAYPOINT, _TAKEOFF = 16, 22
@@ -66,11 +64,7 @@ class _Show(BaseModel):
 
 
 def text_of(data: bytes, drone: object = None) -> str:
-    """The table in a file, or the text of a plan.
-
-    Args:
-        data: content of the file.
-        drone: of a show, from 1; None for the first.
+    """The table in a file, or the text of a plan; `drone` counts those of a show from 1, None is the first.
 
     Raises:
         ValueError: the file is none that is known, in words that follow its name.
@@ -88,12 +82,8 @@ def text_of(data: bytes, drone: object = None) -> str:
 def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None) -> Array:
     """The rows of a table in s, m and rad: t, x, y, z; of waypoints x, y, z; of both a yaw if they have one.
 
-    Polynomials have a duration and the coefficients of 3 or 4 axes, the lowest power first.
-
-    Args:
-        text: the table.
-        untimed: rows have no times.
-        rate_hz: rate of rows without times.
+    Polynomials have a duration and the coefficients of 3 or 4 axes, the lowest power first. `untimed` rows are
+    waypoints, and those of a `rate_hz` get times.
 
     Raises:
         ValueError: a row that does not fit, or none that is known, in words that follow a key.
@@ -111,7 +101,7 @@ def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None)
         raise ValueError(f"{width} columns without names: expected {FORMS}")
     if pieces:
         numbers = text.partition("\n")[2] if words else text
-        return read_table(numbers, ("duration", *POLYNOMIALS)[:width])
+        return read_table(numbers, ("duration", *_POLYNOMIALS)[:width])
     if poses:
         rows = read_table(text, _POSES)
         if not np.allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=0.01):

@@ -27,7 +27,7 @@ from ptnsbc_core.types import (
     Trajectory,
 )
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, Block, Flag, NotNegative, Number, Vec3
-from ptnsbc_sim.scenario.mission.path_files import POLYNOMIALS, path_rows
+from ptnsbc_sim.scenario.mission.path_files import path_rows
 from ptnsbc_sim.scenario.mission.pieces import CHANNELS, WIDTH, curve_by, curve_of
 from ptnsbc_sim.scenario.mission.stream import (
     SetpointTrajectory,
@@ -271,16 +271,15 @@ def samples_of(
     if speed_m_s is not None and rate_hz is not None:
         raise ValueError("expected either speed_m_s or rate_hz")
     table = path_rows(text, untimed=speed_m_s is not None, rate_hz=rate_hz)
-    polynomials = _are_polynomials(table)
-    if not 2 - polynomials <= len(table) <= MOST_POINTS:
+    if not 2 - _are_polynomials(table) <= len(table) <= MOST_POINTS:
         raise ValueError(
             f"{len(table)} rows: expected 2 to {MOST_POINTS}, {_LEAST_GAP_S:g} s apart or more"
         )
-    if polynomials:
-        _refuse_gaps(table)
-        return table
     if _too_far(table):
         raise ValueError(f"expected no number beyond {_FARTHEST:g}")
+    if _are_polynomials(table):
+        _refuse_gaps(table)
+        return table
     if speed_m_s is not None:
         still = np.flatnonzero(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1) < _STILL_M)
         if len(still):
@@ -296,24 +295,20 @@ def samples_of(
 
 
 def _are_polynomials(table: Array) -> bool:
-    return table.shape[1] > len(POLYNOMIALS) // 2
+    return table.shape[1] > COEFFICIENTS
 
 
 def _refuse_gaps(table: Array) -> None:
-    """ValueError unless the pieces of a table of polynomials are long enough, near, and follow each other."""
-    spans, coefficients = table[:, :1], table[:, 1:].reshape(len(table), -1, COEFFICIENTS)
-    with np.errstate(all="ignore"):
-        terms = coefficients * (spans ** np.arange(COEFFICIENTS))[:, None]
-        gaps = np.abs(terms[:-1].sum(axis=2) - coefficients[1:, :, 0])[:, :3].max(axis=1)
-    if (spans < _LEAST_GAP_S).any() or _too_far(spans.sum()) or _too_far(terms):
+    """ValueError where a piece is short, or begins away from the end of the one before."""
+    powers = table[:, 1:].reshape(len(table), -1, COEFFICIENTS)
+    ends = (powers * (table[:, :1] ** np.arange(COEFFICIENTS))[:, None]).sum(axis=2)
+    gaps = np.abs(ends[:-1] - powers[1:, :, 0])[:, :3].max(axis=1)
+    if (table[:, 0] < _LEAST_GAP_S).any():
+        raise ValueError(f"expected pieces of {_LEAST_GAP_S:g} s or more")
+    if wide := np.flatnonzero(gaps > _GAP_M).tolist():
+        row, gap = wide[0] + 2, gaps[wide[0]]
         raise ValueError(
-            f"expected pieces of {_LEAST_GAP_S:g} s or more, and no number beyond {_FARTHEST:g}"
-        )
-    if wrong := np.flatnonzero(gaps > _GAP_M).tolist():
-        row = wrong[0]
-        raise ValueError(
-            f"row {row + 2} of numbers: begins {gaps[row]:.3g} m from the end of the one before: expected a path "
-            "without gaps"
+            f"row {row} of numbers: begins {gap:.3g} m from the end of the one before: expected a path without gaps"
         )
 
 
