@@ -83,6 +83,24 @@ def _wind(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.flight.blow(east_m_s)
 
 
+SENSORS = {
+    "gyro": mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO,
+    "accelerometer": mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL,
+    "magnetometer": mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG,
+    "barometer": mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
+    "gps": mavlink.MAV_SYS_STATUS_SENSOR_GPS,
+    "battery": mavlink.MAV_SYS_STATUS_SENSOR_BATTERY,
+    "none": 0,
+}
+"""The sensors that may be reported as unhealthy, and their bits in SYS_STATUS."""
+
+
+def _unhealthy(vehicle: StandInVehicle, word: str, _t: float) -> None:
+    if word not in SENSORS:
+        raise AutopilotError(f"fault unhealthy {word!r}: expected one of {', '.join(SENSORS)}")
+    vehicle.faults.unhealthy = SENSORS[word]
+
+
 def _mode(vehicle: StandInVehicle, word: str, t: float) -> None:
     if not vehicle.set_mode_by_rc(word, t):
         raise AutopilotError(f"fault mode {word!r}: expected a mode of this autopilot, as LAND")
@@ -94,6 +112,8 @@ FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "radio": _radio,
     "arming": _arming,
     "takeoff": _takeoff,
+    "unhealthy": _unhealthy,
+    "alarm": lambda vehicle, word, t: vehicle.send_text(f"Alarm: {word}", t),
     "duplicate": _duplicate,
     "battery": _battery,
     "clock": lambda vehicle, word, _t: vehicle.clock.jump(_number(word, "clock")),

@@ -199,6 +199,7 @@ def _sensors(vehicle: StandInVehicle, t: float) -> tuple[int, int]:
     base = (
         mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
         | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
         | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
         | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     )
@@ -208,7 +209,7 @@ def _sensors(vehicle: StandInVehicle, t: float) -> tuple[int, int]:
         healthy |= gps
     if vehicle.arming_problem(t) is None:
         healthy |= ready
-    return base | gps | ready, healthy
+    return base | gps | ready, healthy & ~vehicle.faults.unhealthy
 
 
 def _sys_status(vehicle: StandInVehicle, t: float) -> Any:

@@ -70,6 +70,7 @@ class Faults:
     refuse_arming: bool = False
     deny_arming: bool = False  # though all its checks pass
     takeoff_detected: bool = False  # armed on the ground, it takes itself for flying
+    unhealthy: int = 0  # bits of MAV_SYS_STATUS_SENSOR
     duplicate: bool = False  # a second sender uses the same system id
 
 

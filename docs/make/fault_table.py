@@ -411,6 +411,20 @@ ANSWERS = (
         ),
     ),
     FaultAnswer(
+        "a vehicle says that a sensor failed, or anything critical; a UAV process or a bridge is late half the time",
+        (MAVLINK,),
+        "the bridge, by SYS_STATUS, STATUSTEXT and the setpoints",
+        "2 s; at once; 3 s (`mavlink.abort`)",
+        f"{_HOLD}, {_LAND}",
+        "the formation is given up: all hold apart by height, then land from below",
+        _NEVER,
+        (
+            f"{_BRIDGE}test_bridge.py::test_a_sensor_that_fails_in_flight_ends_the_formation",
+            f"{_BRIDGE}test_bridge.py::test_a_critical_text_counts_in_flight_and_an_old_one_does_not",
+            f"{_BRIDGE}test_bridge.py::test_a_uav_process_that_is_late_half_of_the_time_ends_the_formation",
+        ),
+    ),
+    FaultAnswer(
         "a vehicle swings or runs away (`mavlink.abort`)",
         (MAVLINK,),
         "each bridge, by its error",

@@ -75,7 +75,7 @@ class Bridge:
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
         self.stream = SetpointStream(vehicle_link, scenario.mavlink, agent_config(scenario, uav_id))
         self.watch = FormationWatch(
-            scenario, uav_id, ports, self.state_publisher, self.stream, alone=alone
+            scenario, uav_id, ports, self.vehicle, self.state_publisher, self.stream, alone=alone
         )
         away_s = AWAY_S if scenario.formation.reconfigures and not alone else 0.0
         height_m, log = scenario.mavlink.takeoff_height_m, ports.log
@@ -173,8 +173,7 @@ class Bridge:
         procedure, stream, publisher = self.procedure, self.stream, self.state_publisher
         inputs = self.ports.inputs
         data, inputs.setpoint = inputs.setpoint, None
-        if data is not None:
-            publisher.controller.on_message(data)
+        answered = data is not None and publisher.controller.on_message(data)
         self.watch.reference.update(inputs)
         while inputs.companions:
             self.placement.report(*inputs.companions.pop(0))
@@ -187,7 +186,8 @@ class Bridge:
             self.ports.limits(stream.guard.limits)
             if not self._alone:
                 self._log(stream.fit_to_vehicle())
-        self.watch.look(now_s, procedure.step, procedure.output.stream)
+        step, sent, error_m = procedure.step, procedure.output.stream, self.placement.error_m
+        self.watch.look(now_s, step, sent, answered=answered, error_m=error_m)
         stream.layer_m = self.placement.layer_m(self.watch.middle_m, stream.guard)
         # Before arming: whether a vehicle that flies by attitude bears its link; a generic one shows it in flight.
         by_attitude = stream.sends_thrust(Stream.PLANNER) and not stream.sends_thrust(Stream.HOLD)

@@ -230,6 +230,11 @@ def true_odometry(message: Any, position: Array) -> Array | None:
     return out if np.isfinite(out).all() else None
 
 
+# Of SYS_STATUS. Battery and GNSS have rules of their own; no formation needs a fence, a log or a remote control.
+_FLIES_BY = (
+    "3d gyro", "3d accel", "3d mag", "3d gyro2", "3d accel2", "3d mag2", "absolute pressure", "vision position",
+    "xy position control", "z altitude control", "motor outputs", "ahrs",
+)  # fmt: skip
 _NO_VOLTAGE = 65535  # UINT16_MAX: not sent
 _FIX_3D = 3
 _FIXES = ("", "none", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")
@@ -323,6 +328,14 @@ class VehicleMonitor:
         self.anchor: Anchor | None = None
         self.warning = ""  # newest STATUSTEXT that is a warning or an error
         self.unhealthy = ""  # by SYS_STATUS; PX4 tells a companion no other reason
+        self.failed = (
+            ""  # those of it by which it flies, and which were healthy before it was armed
+        )
+        self._unhealthy_before: list[str] | None = None
+        self.alarm = (
+            "",
+            float("-inf"),
+        )  # newest STATUSTEXT that is critical or worse, and when it came
         self.battery = BatteryMonitor()
         self.gnss = GnssMonitor()
         self.pose = Pose(signed=signed)
@@ -420,14 +433,19 @@ class VehicleMonitor:
         bits = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
         bits &= ~message.onboard_control_sensors_health
         self._prearm_failed = bool(bits & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-        self.unhealthy = ", ".join(
+        names = [
             entry.name.removeprefix("MAV_SYS_STATUS_")
             .removeprefix("SENSOR_")
             .lower()
             .replace("_", " ")
             for bit, entry in mavlink.enums["MAV_SYS_STATUS_SENSOR"].items()
             if bit and bits & bit == bit
-        )
+        ]
+        if not self.armed or self._unhealthy_before is None:
+            self._unhealthy_before = names
+        self.unhealthy = ", ".join(names)
+        new = (name for name in names if name not in self._unhealthy_before)
+        self.failed = ", ".join(name for name in new if name in _FLIES_BY)
 
     def _on_text(self, message: Any, now_s: float) -> None:
         """STATUSTEXT; PX4 sends long texts in chunks, with a tab at the end."""
@@ -438,6 +456,8 @@ class VehicleMonitor:
             text = self._chunks.get(message.id, "") * bool(message.chunk_seq) + text
             self._chunks = {message.id: text}
         self.warning = text.strip()
+        if message.severity <= mavlink.MAV_SEVERITY_CRITICAL:
+            self.alarm = (self.warning, now_s)
 
 
 _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | None]] = {

@@ -60,7 +60,8 @@ class Abort(Block):
     """From which values on the formation is given up in flight: all hold apart by height, then land. 0: off."""
 
     separation_share: Annotated[NotNegative, Field(le=1)] = 0.6
-    """Distance to another vehicle, now or within half a second, as a share of the keep-out of the two."""
+    """Distance to another vehicle, now or within half a second, as a share of the keep-out of the two, beyond the
+    error of their positions."""
     swing_m_s: NotNegative = 1.0
     """Speed to and fro against the motion of the vehicle's place, four reversals that do not die out."""
     away_m_s: NotNegative = 2.0
@@ -69,6 +70,10 @@ class Abort(Block):
     """Speed back to its place that its planner wants, while the vehicle flies away from it for 3 s."""
     jump_m: NotNegative = 1.0
     """Jump of the vehicle's own position: its estimator was reset."""
+    unhealthy_s: NotNegative = 2.0
+    """Time for which the vehicle says that a sensor has failed since it was armed; a critical text counts at once."""
+    late_share: Annotated[NotNegative, Field(le=1)] = 0.5
+    """Share of 3 s in which setpoints are late: none for 0.1 s, because bridge or UAV process miss their ticks."""
     layer_m: Positive = 1.5
     """Height from one vehicle to the next while they hold apart."""
 

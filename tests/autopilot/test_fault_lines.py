@@ -81,6 +81,19 @@ def test_refused_arming(companion):
     assert px4.arm() == ACCEPTED
 
 
+def test_an_unhealthy_sensor_and_an_alarm_are_told(companion):
+    px4 = companion(Px4)
+    px4.gcs_heartbeat()
+    accelerometer = mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    for word, bit in (("accelerometer", 0), ("none", accelerometer)):
+        run_fault_line([px4.vehicle], f"1 unhealthy {word}", px4.t)
+        px4.run(1.2)
+        assert px4.last("SYS_STATUS").onboard_control_sensors_health & accelerometer == bit
+    run_fault_line([px4.vehicle], "1 alarm fire", px4.t)
+    px4.run(0.1)
+    assert any("Alarm: fire" in text for text in px4.texts(1))
+
+
 @pytest.mark.parametrize(("action", "flown"), [(0, OFFBOARD), (2, LAND)])
 def test_a_low_battery_warns_and_lands_where_the_parameter_says(companion, action, flown):
     px4 = companion(Px4)
@@ -122,6 +135,7 @@ def test_somebody_else_with_our_system_id(companion):
         "1 mode X",
         "1 clock x",
         "1 wind 90",
+        "1 unhealthy pilot",
     ],
 )
 def test_what_cannot_be_done_is_refused(companion, line):

@@ -1,5 +1,7 @@
 """The hazards that end a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
 
+A vehicle that calls itself unhealthy, and processes that are late, end it as well.
+
 `FlightMonitor` is pure: states in, a reason out. It looks at the vehicle as it flies and at the velocity that its
 planner wants, not at what was sent, so that it sees the same for every kind of setpoint.
 """
@@ -18,9 +20,10 @@ from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.nanoseconds import SECOND_NS
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
-from ptnsbc_nodes.bridge.procedure.steps import Lasting, Step, Stream
+from ptnsbc_nodes.bridge.procedure.steps import STOP_S, Lasting, Step, Stream
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
+from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import leader_trajectory
@@ -33,6 +36,11 @@ _GROWING = 0.8  # the newest swing as a share of the first of them: below, the m
 _AWAY_S, _AGAINST_S = 3.0, 3.0
 _SETTLED_S = 5.0  # after the deadline
 _GAP_S = 0.5  # after a longer silence the next place is no jump
+_ALARM_S = 1.0  # a text of the vehicle counts for so long
+_LATE_S, _WINDOW_S = (
+    0.1,
+    3.0,
+)  # a setpoint that comes longer after the one before is late; over this time
 # Interpreted: one point takes no longer, and a bridge needs no compiler for a leader on a circle.
 _leader_at = unwrap(reference)
 
@@ -49,6 +57,10 @@ class Sight(NamedTuple):
     settled_s: float  # time since the formation's deadline; negative before it
     places: Array | None = None
     """(K, 3) the places that it may have to take, where UAVs come and go: on its way to one it is faster than it."""
+    error_m: float = 0.0  # of its position, and about that of the positions of others
+    answered: bool = False  # a setpoint of its planner has come since the last look
+    failed: str = ""  # its sensors, by its own word
+    alarm: str = ""  # what it has just said that is critical
 
 
 class FlightMonitor:
@@ -58,15 +70,38 @@ class FlightMonitor:
         self._limits = limits
         self._last: Sight | None = None
         self._near, self._fast, self._astray = Lasting(), Lasting(), Lasting()
+        self._failed, self._answered_s = Lasting(), math.inf
+        self._late: deque[tuple[float, float]] = deque(maxlen=round(_WINDOW_S / _LATE_S))
+        """Late setpoints: when each came, and how late it was [s]."""
         self._peak = np.zeros(2)  # of the present swing
         self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)  # when, and how fast
 
     def look(self, sight: Sight) -> str:
         """The reason why the formation must end; empty when it may go on."""
         checks = (self._jump, self._too_near, self._swinging, self._away, self._against)
-        reasons = [check(sight) for check in checks]
+        reasons = [check(sight) for check in (self._unwell, self._behind, *checks)]
         self._last = sight
         return next(filter(None, reasons), "")
+
+    def _unwell(self, sight: Sight) -> str:
+        limit_s = self._limits.unhealthy_s
+        failed_s = self._failed.update(bool(sight.failed), sight.now_s)
+        if limit_s and failed_s >= limit_s:
+            return f"failed on board: {sight.failed}"
+        return f"the vehicle says: {sight.alarm}" if limit_s and sight.alarm else ""
+
+    def _behind(self, sight: Sight) -> str:
+        """The lateness of setpoints; a longer silence is the failsafe's business."""
+        now_s, limit_s = sight.now_s, self._limits.late_share * _WINDOW_S
+        if not sight.answered or not limit_s:
+            return ""
+        gap_s, self._answered_s = now_s - self._answered_s, now_s
+        if _LATE_S < gap_s <= STOP_S:
+            self._late.append((now_s, gap_s - _LATE_S))
+        late_s = sum(late_s for came_s, late_s in self._late if came_s > now_s - _WINDOW_S)
+        share = f"setpoints late for {100.0 * late_s / _WINDOW_S:.0f} % of {_WINDOW_S:g} s"
+        less = "give the computers of UAV process and bridge less work"
+        return f"{share}: {less}" if late_s >= limit_s else ""
 
     def _jump(self, sight: Sight) -> str:
         last, limit_m = self._last, self._limits.jump_m
@@ -90,9 +125,10 @@ class FlightMonitor:
         soonest = -np.einsum("ij,ij->i", away, closing) / np.maximum(speed2, 1e-9)
         when = np.clip(soonest, 0.0, _SOON_S)
         apart_m = np.linalg.norm(away + when[:, None] * closing, axis=1)
-        nearest = int(np.argmin(apart_m - share * sight.others[:, 3]))
+        limits_m = share * sight.others[:, 3] + math.sqrt(2.0) * sight.error_m
+        nearest = int(np.argmin(apart_m - limits_m))
         nearest_m = float(apart_m[nearest])
-        near = nearest_m < share * sight.others[nearest, 3]
+        near = nearest_m < limits_m[nearest]
         if self._near.update(near, sight.now_s) < _TOO_NEAR_S:
             return ""
         return f"{nearest_m:.2f} m from another vehicle, now or within {_SOON_S:g} s"
@@ -217,6 +253,7 @@ class FormationWatch:
         scenario: Scenario,
         uav_id: int,
         ports: BridgePorts,
+        vehicle: VehicleMonitor,
         state: StatePublisher,
         stream: SetpointStream,
         *,
@@ -226,14 +263,19 @@ class FormationWatch:
         self.reference.place_velocity(0.0)  # compiled or loaded now, not in flight
         self._monitor = FlightMonitor(scenario.mavlink.abort)
         self._scenario, self._ports, self._alone = scenario, ports, alone
-        self._state, self._stream = state, stream
+        self._vehicle, self._state, self._stream = vehicle, state, stream
         self.hazard = ""
         """Reason for which the formation must be given up; it stays."""
         self.middle_m = scenario.mavlink.takeoff_height_m
         """Height [m] about which the layers of all vehicles lie."""
 
-    def look(self, now_s: float, step: Step, sent: Stream) -> None:
-        """Look at the newest state of the vehicle in a step of its flight, in which the stream carries `sent`."""
+    def look(
+        self, now_s: float, step: Step, sent: Stream, *, answered: bool, error_m: float
+    ) -> None:
+        """Look at the newest state of the vehicle in a step of its flight, in which the stream carries `sent`.
+
+        `answered`: a setpoint has come since the last look; `error_m`: of its position.
+        """
         odometry = self._state.odometry
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
             return
@@ -242,6 +284,7 @@ class FormationWatch:
         follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         velocity = self._state.velocity
+        alarm, said_s = self._vehicle.alarm
         sight = Sight(
             now_s,
             odometry[0:3].copy(),
@@ -251,6 +294,10 @@ class FormationWatch:
             self._ports.inputs.near_uavs,
             flight_s - deadline_s if follows or self._alone else -1.0,
             self.reference.places(flight_s) if follows else None,
+            error_m,
+            answered,
+            self._vehicle.failed,
+            alarm if now_s - said_s < _ALARM_S else "",
         )
         self.hazard = self.hazard or self._stream.fit.unfit or self._monitor.look(sight)
         if in_flight:

@@ -424,6 +424,37 @@ def test_a_vehicle_that_comes_too_near_ends_the_formation():
     until(fleet, uav, Step.DONE, 90.0)
 
 
+def test_a_sensor_that_fails_in_flight_ends_the_formation():
+    fleet, uav = one()
+    inject(uav.vehicle, "unhealthy", "accelerometer", fleet.now_s)
+    until(fleet, uav, Step.APART, 4.0)
+    assert uav.bridge.procedure.fault == "formation given up: failed on board: 3d accel"
+
+
+def test_a_uav_process_that_is_late_half_of_the_time_ends_the_formation():
+    fleet, uav = one()
+    for _ in range(20):
+        uav.alive = False
+        fleet.run(0.24)
+        uav.alive = True
+        fleet.run(0.02)
+        if uav.step is Step.APART:
+            break
+    assert "formation given up: setpoints late for 5" in uav.bridge.procedure.fault
+    assert "give the computers of UAV process and bridge less work" in uav.bridge.procedure.fault
+
+
+def test_a_critical_text_counts_in_flight_and_an_old_one_does_not():
+    fleet, uav = one()
+    uav.bridge.vehicle.alarm = ("EKF variance", fleet.now_s - 1.5)
+    fleet.run(0.5)
+    assert uav.step is Step.FLY
+    text = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, b"EKF variance")
+    uav.wire.put(uav.codec.encode(text))
+    until(fleet, uav, Step.APART, 1.0)
+    assert uav.bridge.procedure.fault == "formation given up: the vehicle says: EKF variance"
+
+
 @pytest.mark.parametrize(
     ("kind", "setpoint", "wind_m_s"), [("px4", "velocity", 7), ("arducopter", "attitude", 29)]
 )

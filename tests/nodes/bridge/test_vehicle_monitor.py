@@ -177,6 +177,38 @@ def test_a_vehicle_is_not_ready_whose_pre_arm_check_fails(enabled, healthy, unre
     assert vehicle.unhealthy
 
 
+def sensors(enabled, healthy):
+    return mavlink.MAVLink_sys_status_message(enabled, enabled, healthy, *[0] * 3, -1, *[0] * 6)
+
+
+def test_a_sensor_fails_in_flight_and_one_that_was_bad_before_does_not():
+    accel, mag = mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL, mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    battery = mavlink.MAV_SYS_STATUS_SENSOR_BATTERY  # it has a rule of its own
+    vehicle = VehicleMonitor(PX4)
+    vehicle.on_message(sensors(accel | mag | battery, accel | battery), 1.0)
+    vehicle.on_message(heartbeat(base_mode=mavlink.MAV_MODE_FLAG_SAFETY_ARMED), 2.0)
+    vehicle.on_message(sensors(accel | mag | battery, accel), 3.0)
+    assert vehicle.failed == ""
+    vehicle.on_message(sensors(accel | mag | battery, 0), 4.0)
+    assert vehicle.failed == "3d accel"
+    vehicle.on_message(sensors(accel | mag | battery, accel), 5.0)
+    assert vehicle.failed == ""
+
+
+def test_a_bridge_that_takes_over_in_flight_blames_no_sensor_that_it_found_bad():
+    vehicle, accel = VehicleMonitor(PX4), mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    vehicle.on_message(heartbeat(base_mode=mavlink.MAV_MODE_FLAG_SAFETY_ARMED), 2.0)
+    vehicle.on_message(sensors(accel, 0), 3.0)
+    assert vehicle.failed == ""
+
+
+@pytest.mark.parametrize(("severity", "alarms"), [(2, True), (0, True), (3, False)])
+def test_a_critical_text_is_an_alarm(severity, alarms):
+    vehicle = VehicleMonitor(PX4)
+    vehicle.on_message(mavlink.MAVLink_statustext_message(severity, b"EKF variance"), 7.0)
+    assert vehicle.alarm == (("EKF variance", 7.0) if alarms else ("", float("-inf")))
+
+
 def test_a_boot_is_believed_only_of_a_clock_that_is_young():
     vehicle = VehicleMonitor(PX4)
     booting = heartbeat(system_status=mavlink.MAV_STATE_BOOT)

@@ -29,6 +29,7 @@ def fly(
     reference=(0, 0, 0),
     wanted=lambda _t: None,
     places=None,
+    error_m=0.0,
 ):
     """The first reason and its time, for a vehicle on `path(t) -> position`."""
     monitor = FlightMonitor(limits)
@@ -40,7 +41,7 @@ def fly(
         told = wanted(t)
         told = None if told is None else np.array(told, dtype=float)
         reason = monitor.look(
-            Sight(t, np.array(path(t)), velocity, moves, told, near, settled_s + t, places)
+            Sight(t, np.array(path(t)), velocity, moves, told, near, settled_s + t, places, error_m)
         )
         if reason:
             return reason, t
@@ -67,6 +68,48 @@ def test_the_bound_is_a_share_of_the_keep_out_of_the_pair():
     wide[0, 3] = 1.6
     reason, _ = fly(still, 2.0, others=np.vstack((wide, narrow)))
     assert "0.90 m from another vehicle" in reason
+
+
+@pytest.mark.parametrize(("distance_m", "ends"), [(1.5, True), (1.6, False)])
+def test_the_error_of_both_positions_is_added_to_the_bound(distance_m, ends):
+    """0.3 m of a keep-out of 0.5 m, and 0.9 m of plain GNSS on each side."""
+    reason, _ = fly(still, 2.0, others=one_at(distance_m, 0, 8), error_m=0.9)
+    assert ("1.50 m from another vehicle" in reason) is ends
+
+
+def answered(times, *, limits=LIMITS, **told):
+    """The first reason for a vehicle that stands still, and whose setpoints come at these times."""
+    monitor = FlightMonitor(limits)
+    here = np.array(still(0.0))
+    sights = (
+        Sight(t, here, np.zeros(3), np.zeros(3), None, NOBODY, -1.0, answered=True, **told)
+        for t in times
+    )
+    return next(filter(None, map(monitor.look, sights)), "")
+
+
+@pytest.mark.parametrize(("seconds", "ends"), [(1.9, False), (2.1, True)])
+def test_a_sensor_that_has_failed_for_two_seconds_ends_the_formation(seconds, ends):
+    times = np.arange(0.0, seconds, DT)
+    assert answered(times, failed="3d accel") == ("failed on board: 3d accel" if ends else "")
+    assert answered(times, failed="3d accel", limits=Abort(unhealthy_s=0.0)) == ""
+
+
+def test_a_critical_text_ends_the_formation_at_once():
+    assert answered([10.0], alarm="EKF variance") == "the vehicle says: EKF variance"
+    assert answered([10.0], alarm="EKF variance", limits=Abort(unhealthy_s=0.0)) == ""
+
+
+@pytest.mark.parametrize(("period_s", "ends"), [(0.02, False), (0.18, False), (0.25, True)])
+def test_setpoints_that_are_late_for_half_of_the_time_end_the_formation(period_s, ends):
+    reason = answered(np.arange(0.0, 20.0, period_s))
+    assert reason.startswith("setpoints late for 5" if ends else "x") is ends
+    assert answered(np.arange(0.0, 20.0, period_s), limits=Abort(late_share=0.0)) == ""
+
+
+def test_one_pause_and_a_silence_for_the_failsafe_are_no_lateness():
+    assert answered([*np.arange(0.0, 1.0, DT), *np.arange(1.45, 3.0, DT)]) == ""
+    assert answered(np.arange(0.0, 60.0, 0.6)) == ""
 
 
 def test_a_vehicle_that_comes_fast_is_seen_before_it_is_there():
