@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,9 @@ SILENT_S = 2.0
 """A process whose last status is older than this is shown as silent."""
 _KEPT_NS = 1_000_000_000
 _SILENT_NS = 500_000_000
+_STILL_M_S = 0.05
+# Steps of a bridge; their module needs pymavlink.
+LANDING = ("holding apart by height", "landing", "disarming on the ground", "done", "failed")
 _READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
 
 
@@ -95,12 +98,15 @@ class FlightState:
                 left_s = float(self.scenario.gains.formation.deadline_s) - since_s
         states = self._states.at(self.stamp_ns)
         places = {uav: state[:3] for uav, state in states.items()}
+        # Vehicles may land without the leader's word: by the operator's order, or because the formation is given up.
+        landing = leg is not None and (leg.mode == MODE_LAND or self.processes.all_land)
+        self.processes.landing, left_s = landing, None if landing else left_s
         # Where UAVs hold or land nobody has a place in the formation.
         goals = self._goals(places, t) if left_s is not None else {}
-        self.processes.landing = leg is not None and leg.mode == MODE_LAND
         return {
             "t": _rounded(t),
-            "leg": leg.name if leg is not None else "waiting",
+            "leg": "waiting" if leg is None else "land" if landing else leg.name,
+            "landing": self._landing(states) if landing else "",
             "since_s": _rounded(since_s),
             "left_s": _rounded(left_s),
             "pace": _rounded(self._pace.rate(self._clock_s())),
@@ -110,6 +116,12 @@ class FlightState:
             ],
             "processes": self.processes.levels(),
         }
+
+    def _landing(self, states: Mapping[int, Array]) -> str:
+        """The landing in a few words: the highest UAV, and how many still descend."""
+        highest_m = max((float(state[2]) for state in states.values()), default=0.0)
+        descend = sum(float(np.linalg.norm(state[7:10])) > _STILL_M_S for state in states.values())
+        return f"landing, {highest_m:.1f} m, {descend} of {len(states)}"
 
     def _goals(self, places: dict[int, Array], t: float | None) -> dict[int, Array]:
         """The wanted place of each UAV (3,) [m]; without the followers while the leader is not heard."""
@@ -214,6 +226,13 @@ class ProcessReports:
             "fix": vehicle.get("fix") or None,
             "readiness": _readiness(bridge or planner),
         }
+
+    @property
+    def all_land(self) -> bool:
+        """True if all vehicles land, or have landed, by the word of their bridges."""
+        heard = (of for name, of in self._heard.items() if name.startswith("bridge"))
+        steps = [s.values["step"] for of in heard for _, s in of.values() if "step" in s.values]
+        return bool(steps) and all(step in LANDING for step in steps)
 
     def levels(self) -> list[dict[str, Any]]:
         """Level and word of every process that has reported or ended; 0 is well, 1 a warning, 2 an error."""

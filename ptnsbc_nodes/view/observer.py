@@ -61,7 +61,8 @@ class FleetListener:
         for uav in self._state.scenario.uav_ids:
             # Neither the frames nor the order of stamps matter to a viewer.
             take = partial(self._state.on_odometry, uav)
-            self._listen(topics.odom(uav), OdometryDecoder(), take, profile=STATE_REALTIME)
+            for topic in (topics.odom(uav), topics.track(uav)):  # the latter once it has left
+                self._listen(topic, OdometryDecoder(), take, profile=STATE_REALTIME)
         return True
 
 

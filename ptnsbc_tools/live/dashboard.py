@@ -98,6 +98,8 @@ def _title(frame: dict[str, Any], scenario: Scenario) -> str:
     parts = [scenario.name, frame["leg"]]
     if frame["t"] is not None:
         parts.append(f"{frame['t']:.1f} of {scenario.timing.duration_s:g} s")
+    if frame["landing"]:
+        parts.append(frame["landing"])
     if frame["left_s"] is not None:
         left = frame["left_s"]
         parts.append(f"deadline in {left:.1f} s" if left > 0 else f"deadline {-left:.1f} s ago")
@@ -131,7 +133,7 @@ def _table(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
             cells["speed m/s"] = _number(uav["speed"], 2)
             cells["nearest m"] = f"{near['distance']:.2f} {nearest}" if near else "-"
             cells |= {"mode": _mode(uav), **battery}
-            bad = uav["lost"] or (near and near["room"] < 0)
+            bad = not frame["landing"] and (uav["lost"] or (near and near["room"] < 0))
             good = uav["error"] is not None and uav["error"] <= tolerance
         if not table.columns:
             table.add_column("UAV", no_wrap=True)

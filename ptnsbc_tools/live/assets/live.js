@@ -2,7 +2,6 @@
 
 const AGAIN_MS = [500, 1000, 2000, 4000]; // until the next attempt to connect
 const REFRESH_MS = 500; // of the figure
-const STILL = 0.05; // [m/s]
 const ORDERS = {
   hold: "All UAVs hold where they are. Hold?",
   land: "The leader ends the formation, and all UAVs land. End flight?",
@@ -164,18 +163,15 @@ class LivePage extends Page {
     const inside = worst !== null && worst <= tolerance;
     const lost = frame.uavs.some((uav) => uav.lost);
     const landing = frame.leg === "land";
-    let countdown = landing ? "landing" : frame.leg;
+    let countdown = landing ? frame.landing : frame.leg;
     if (frame.left_s !== null) {
       countdown = frame.left_s > 0 ? `${frame.left_s.toFixed(1)} s to the deadline` : `deadline ${(-frame.left_s).toFixed(1)} s ago`;
     }
     set("countdown", frame.over ? "over" : countdown);
     let word = worst === null ? "Waiting for the states of all UAVs." : `Largest error ${worst.toFixed(3)} m, tolerance ${tolerance} m.`;
     if (frame.leg === "waiting") word = "The flight has not begun.";
-    if (landing) {
-      const sinking = frame.uavs.filter((uav) => uav.speed > STILL).length;
-      const highest = Math.max(...frame.uavs.map((uav) => (uav.pose ? uav.pose[2] : 0)));
-      word = `${sinking} of ${frame.uavs.length} still descend, the highest is at ${highest.toFixed(1)} m.`;
-    } else if (frame.leg === "hold") word = "All UAVs hold where they are.";
+    if (landing) word = "All UAVs land: the height of the highest, and how many still descend.";
+    else if (frame.leg === "hold") word = "All UAVs hold where they are.";
     if (frame.over) word = "The flight is over; the verdict comes when the recording is judged.";
     set("line", word);
     const late = frame.left_s !== null && frame.left_s <= 0;

@@ -15,7 +15,7 @@ import pytest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import Decision, LostProcess
-from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, RecentStates, scenario_of
+from ptnsbc_nodes.view.flight_state import LANDING, SILENT_S, FlightState, RecentStates, scenario_of
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.slots import with_slots
 from ptnsbc_sim.verdict.formation_error import formation_errors
@@ -105,6 +105,27 @@ def test_a_leg_that_holds_has_no_deadline() -> None:
     frame = state.frame()
     assert (frame["leg"], frame["left_s"]) == ("hold", None)
     assert frame["since_s"] == pytest.approx(0.5)
+
+
+def test_a_landing_has_neither_deadline_nor_errors_whoever_ordered_it() -> None:
+    pytest.importorskip("pymavlink")
+    from ptnsbc_nodes.bridge.procedure.steps import Step
+
+    assert {step.value for step in Step}.issuperset(LANDING)
+    state = in_formation(9.0)
+    for uav in SCENARIO.uav_ids:
+        step = "in formation" if uav == 1 else "landing"
+        state.processes.on_status(status(f"bridge{uav}: link", step=step, armed="true"))
+    assert state.frame()["landing"] == ""  # one lands, the others fly on
+    state.processes.on_status(status("bridge1: link", step="done", armed="false"))
+    sinking = odometry(SCENARIO.offset(3) + np.array([0.0, 0.0, 3.7]), 9.1)
+    sinking.values[9] = -0.7
+    for uav in SCENARIO.uav_ids:
+        state.on_odometry(uav, sinking if uav == 3 else odometry(SCENARIO.offset(uav), 9.1))
+    frame = state.frame()
+    assert (frame["leg"], frame["left_s"]) == ("land", None)
+    assert frame["landing"] == "landing, 3.7 m, 1 of 5"
+    assert {uav["error"] for uav in frame["uavs"]} == {None}
 
 
 def test_faults_lost_and_silent_processes_are_named() -> None:

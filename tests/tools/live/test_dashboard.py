@@ -28,6 +28,7 @@ def uav(number: int, **more: Any) -> dict[str, Any]:
 
 def frame(**more: Any) -> dict[str, Any]:
     base = {"t": 12.34, "leg": "form", "since_s": 12.34, "left_s": 1.25, "pace": 2.5, "over": False}
+    base |= {"landing": ""}
     return base | {"uavs": [uav(i) for i in SCENARIO.uav_ids], "processes": []} | more
 
 
@@ -54,6 +55,18 @@ def test_faults_and_the_lost_are_named() -> None:
     assert "and 2 more" in found and "deadline 2.0 s ago" in found
     assert max(map(len, found.splitlines())) <= 80
     assert "lost" in text(frame(uavs=[uav(1, lost=True, pose=None, error=None, near=None)]), 80)
+
+
+def test_a_landing_is_no_catastrophe() -> None:
+    close = {"error": None, "near": {"name": "UAV 4", "distance": 0.2, "room": -0.3}}
+    shown = frame(
+        leg="land", left_s=None, landing="landing, 3.7 m, 4 of 4",
+        uavs=[uav(i, **close) for i in SCENARIO.uav_ids],
+    )  # fmt: skip
+    assert "landing, 3.7 m, 4 of 4" in text(shown, 80)
+    console = recording(io.StringIO(), 80)
+    console.print(picture(shown, SCENARIO, 80))
+    assert "\x1b[31m" not in console.export_text(styles=True)  # red
 
 
 def test_before_the_first_state() -> None:

@@ -45,7 +45,15 @@ def frame(leg: str) -> dict[str, Any]:
     ]
     more = {"beside": None, "speed": 0.0, "near": None, "mode": leg, "lost": False, "vehicle": None}
     uavs = [{**uav, **more, "armed": None, "battery": None} for uav in uavs]
-    here = {"t": 1.0, "since_s": 1.0, "left_s": 4.0, "pace": 1.0, "over": False, "processes": []}
+    here = {
+        "t": 1.0,
+        "since_s": 1.0,
+        "left_s": 4.0,
+        "pace": 1.0,
+        "over": False,
+        "processes": [],
+        "landing": "",
+    }
     return {**here, "leg": leg, "uavs": uavs}
 
 
@@ -159,13 +167,13 @@ def test_stop_is_the_command_and_says_what_it_said(monkeypatch: pytest.MonkeyPat
 def test_a_landing_is_no_catastrophe_and_the_page_ends_with_the_verdict(
     page: Any, server: LiveServer, feed: Feed
 ) -> None:
-    landing = frame("land") | {"left_s": None}
+    landing = frame("land") | {"left_s": None, "landing": "landing, 3.7 m, 4 of 5"}
     for uav in landing["uavs"]:
         uav |= {"error": None, "speed": 0.4, "vehicle": "LAND"}
     feed.add(landing)
     page.wait_for_selector("#state.plain")
-    assert page.locator("#countdown").inner_text() == "landing"
-    assert page.locator("#line").inner_text().startswith("5 of 5 still descend, the highest is at")
+    assert page.locator("#countdown").inner_text() == "landing, 3.7 m, 4 of 5"
+    assert page.locator("#line").inner_text().startswith("All UAVs land")
     assert page.locator("#board tr:first-child td.mode").inner_text() == "land, LAND"
     feed.tell("end", verdict="met late", line="3 of 5 in place by 5 s.")
     feed.tell("report", page="<title>the report</title>", path="/tmp/flight-report/index.html")
