@@ -135,6 +135,8 @@ def left_alone(*faults, seconds=4.0):
 
 def test_another_bridge_holds_the_vehicle_of_one_that_died_and_brings_it_back():
     fleet, uav = left_alone()
+    origins = []
+    uav.ports.origin = origins.append
     frame = uav.bridge.state_publisher.world.frame
     held = uav.vehicle.flight.truth.position_enu.copy()
     until(fleet, uav, Step.FAILSAFE)
@@ -143,6 +145,7 @@ def test_another_bridge_holds_the_vehicle_of_one_that_died_and_brings_it_back():
     until(fleet, uav, Step.FLY)
     assert fleet.run(5.0).leader_error_m() < 0.15  # in the world of before
     assert uav.bridge.state_publisher.world.frame == frame
+    assert origins == []  # the bag has the place of the leader from the bridge before
     fleet.land()
     assert (uav.step, uav.vehicle.armed) == (Step.DONE, False)
     assert uav.bridge.procedure.fault == "its bridge died, and another one took over"

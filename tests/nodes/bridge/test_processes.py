@@ -79,6 +79,34 @@ def test_nothing_is_armed_for_a_flight_that_is_refused_from_where_the_vehicles_s
     assert not any("armed" in line for line in vehicles.lines), vehicles.lines
 
 
+def test_a_bridge_killed_during_the_take_off_ends_the_flight_with_all_on_the_ground(
+    tmp_path, domain
+):
+    """Nothing is to be saved yet: no other bridge takes over, and the launcher lands the vehicle past it."""
+    pair = {1: ("px4", "velocity"), 4: ("px4", "velocity")}
+    path = write_scenario(tmp_path / "two.yaml", domain, duration_s=13, fleet=pair)
+    logs, control = tmp_path / "logs", first_port(domain) + 20
+    command = (
+        "ptnsbc_nodes.fleet.fleet_main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
+        "--log-dir", logs,
+    )  # fmt: skip
+    with (
+        stand_ins(
+            path, domain, "--param", "COM_OBL_RC_ACT=5", "--control", control, count=2
+        ) as vehicles,
+        flying(*command, domain=domain) as fleet,
+    ):
+        fleet.wait_for("bridge1: taking off", "bridge4: taking off")
+        os.kill(pid_of("ptnsbc_nodes.bridge.bridge_main", 4, logs), signal.SIGKILL)
+        assert fleet.finish() == 2, fleet.lines
+        states = json.loads(send_fault(control, "all state"))
+        assert [(each["armed"], each["contact"]) for each in states] == [(False, True)] * 2
+    assert fleet.printed("before the flight: bridge4 (pid ", "bridge4: its vehicle is disarmed")
+    assert not fleet.printed("another bridge takes it over")
+    assert vehicles.printed("mode LAND")
+    assert "after the flight: " in (logs / "fleet.log").read_text()
+
+
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):
     """The fleet waits for its operator: before the word nothing is armed.
 
