@@ -313,6 +313,23 @@ def test_ready_waits_for_a_key(bridge, middleware, monkeypatch, capsys):
     assert "bridge1: motors stopped after 0." in printed
 
 
+def test_ready_joins_no_domain_where_all_bridges_are_of_this_host(
+    bridge, folder, monkeypatch, capsys
+):
+    """Without a middleware it says nothing of one."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    list_fleet(folder, ["bridge1"])
+    bridge()
+    keys, hand = os.pipe()
+    os.write(hand, b"x")
+    os.close(hand)
+    with os.fdopen(keys) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        assert give(kill=True, ready=True) == 0
+    assert "bridge1: motors stopped after 0." in (said := capsys.readouterr().err)
+    assert "only bridges of this host" not in said
+
+
 def test_ready_without_a_terminal_gives_no_order(bridge, middleware, folder, monkeypatch):
     bridge()
     with open(os.devnull) as stdin:
