@@ -29,7 +29,8 @@ UAV = "ptnsbc_nodes.uav.uav_main"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 _TAIL_LINES = 12
 _USER_ERROR = 2  # the exit code of a process that ended with a message to the user
-_LOGGED = re.compile(r"(\[\w+\] )\[[\d.]+\] \[[\w./]+\]: ")  # by rclpy: level, time and node
+# By rclpy: level, time and node.
+_LOGGED = re.compile(r"(\[\w+\] )\[(\d{1,11})[\d.]*\] \[[\w./]+\]: ")
 _FIGURE = re.compile(r"\d+(\.\d+)?")  # differs between messages of one cause
 # As `python -m`, but without the current folder on the path: a yaml.py that lies there is not imported.
 # (`python -P` does the same, from Python 3.11 on.)
@@ -247,6 +248,10 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
     return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.recorder_main", tuple(arguments))
 
 
+def _with_hour(logged: re.Match[str]) -> str:
+    return f"{logged[1]}{time.strftime('%H:%M:%S', time.localtime(int(logged[2])))} "
+
+
 class ChildProcess:
     """One running process."""
 
@@ -321,7 +326,7 @@ class ChildProcess:
         """
         newest, counts = dict[str, str](), Counter[str]()
         for line in self.log_lines():
-            text = _LOGGED.sub(r"\1", line)
+            text = _LOGGED.sub(_with_hour, line)  # what has long ended must not look like the end
             cause = text if text == line else _FIGURE.sub("", text)
             counts[cause] += 1
             newest.pop(cause, None)  # the newest one stands last

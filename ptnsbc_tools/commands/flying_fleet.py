@@ -358,7 +358,9 @@ def _give(
     operation: EmergencyStop, domain: int, fleet: str, patience: float, *, ready: bool, kill: bool
 ) -> int:
     """Give the order on every path; returns the exit code."""
-    if ready and operation.local:  # nobody of the flight need get to know a terminal that only waits
+    if (
+        ready and operation.local
+    ):  # nobody of the flight need get to know a terminal that only waits
         _wait_for_key(operation, kill=kill)
         ready = False
     local = not ready and bool(operation.bridges) and operation.local
