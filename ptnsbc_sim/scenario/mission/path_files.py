@@ -30,6 +30,7 @@ _POSES = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _MOST_BYTES = 20_000_000  # of a file in a show
 _WAYPOINT, _TAKEOFF = 16, 22
 _ABOVE_HOME, _ABOVE_SEA = (3, 6), (0, 5)  # frames
+_OTHERS = {17: "loiter", 18: "loiter", 19: "loiter", 20: "return", 21: "land", 178: "speed"}
 
 _Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Point = tuple[FiniteFloat, _Place, Annotated[list[_Place], Field(max_length=6)]]
@@ -104,7 +105,7 @@ def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None)
         return read_table(numbers, ("duration", *_POLYNOMIALS)[:width])
     if poses:
         rows = read_table(text, _POSES)
-        if not np.allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=0.01):
+        if not np.allclose(np.hypot.reduce(rows[:, 4:].clip(-2.0, 2.0), axis=1), 1.0, atol=0.01):
             raise ValueError("expected quaternions qx, qy, qz, qw of length 1")
         yaws = [yaw_of(row[1:]) for row in rows]
         return np.column_stack([rows[:, 0] - rows[:1, 0], rows[:, 1:4], yaws])
@@ -134,7 +135,8 @@ def waypoints_of(plan_text: str) -> dict[str, Any]:
         numbers = [number or 0.0 for number in item.params]
         known = item.command in (_WAYPOINT, _TAKEOFF) and item.frame in _ABOVE_HOME + _ABOVE_SEA
         if not known or item.complexItemType or len(numbers) != 7 or numbers[0]:
-            what = item.complexItemType or f"command {item.command} in frame {item.frame}"
+            name = item.complexItemType or _OTHERS.get(item.command, "command")
+            what = f"{name} {item.command} in frame {item.frame}"
             raise ValueError(
                 f"mission.items[{index}]: {what}: expected a take-off (22) or a waypoint (16) without a hold, at a "
                 "height above home (frame 3) or the sea (0)"
