@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Integral, Real
+
 from ptnsbc_core.errors import PtnsbcError
 
 LONGEST_S = 1e6  # as timing.duration_s
@@ -20,6 +22,12 @@ class LimitError(PtnsbcError):
 def refuse_outside(
     name: str, value: float | None, low: float = 0.0, high: float = LONGEST_S
 ) -> None:
-    """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value."""
-    if value is not None and not low <= value <= high:
-        raise LimitError(f"{name}: {value:g}: expected {low:g} to {high:g}")
+    """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value.
+
+    Between whole limits a value is whole.
+    """
+    kind, whole = (Integral, "a whole number, ") if isinstance(low, int) else (Real, "")
+    if value is None or (isinstance(value, kind) and low <= value <= high):
+        return
+    given = f"{value:g}" if isinstance(value, Real) else repr(value)
+    raise LimitError(f"{name}: {given}: expected {whole}{low:g} to {high:g}")

@@ -62,7 +62,7 @@ def check_replaceable(directory: Path, *, overwrite: bool) -> None:
             raise BagError(f"{directory}: cannot be created: {above} is no folder to write into")
         return
     if not overwrite:
-        raise BagError(f"{directory} exists: choose another name or pass --overwrite")
+        raise BagError(f"{directory} exists: choose another name, or overwrite it")
     names = [path.name for path in directory.iterdir()] if directory.is_dir() else [directory.name]
     foreign = [name for name in sorted(names) if not _OF_A_BAG.fullmatch(name)]
     if foreign or not directory.is_dir():
@@ -183,7 +183,7 @@ class BagWriter:
 
         BagError when it or `<dir>` exists.
         """
-        way_out = "choose another name or pass --overwrite"
+        way_out = "choose another name, or overwrite it"
         check_replaceable(self.directory, overwrite=self._overwrite)
         try:
             if self._part.exists():

@@ -6,9 +6,10 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Annotated, Any, TypeVar
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -135,15 +136,32 @@ class Block(BaseModel):
             return tree
         for key in tree:
             if key not in cls.model_fields:
-                raise PydanticCustomError(
-                    "unknown_key", "unknown key", {"below": (key,), "known": (*cls.model_fields,)}
-                )
+                about = {
+                    "below": (key,),
+                    "known": (*cls.model_fields,),
+                    "deep": (*keys_below(cls),),
+                }
+                raise PydanticCustomError("unknown_key", "unknown key", about)
         units = {
             key: unit
             for key, value in tree.items()
             if value != AUTO and not key.startswith("disturbance") and (unit := unit_of(key))
         }
         return {**tree, **{key: without_unit(tree[key], units[key], (key,)) for key in units}}
+
+
+def keys_below(block: type[Block]) -> Iterator[str]:
+    """The dotted keys of the blocks below a block; entries of lists have none."""
+
+    def blocks(kind: Any) -> Iterator[type[Block]]:
+        if isinstance(kind, type) and issubclass(kind, Block):
+            yield kind
+        elif get_origin(kind) in (Union, UnionType):
+            yield from (one for part in get_args(kind) for one in blocks(part))
+
+    for name, field in block.model_fields.items():
+        for below in blocks(field.annotation):
+            yield from (f"{name}.{key}" for key in (*below.model_fields, *keys_below(below)))
 
 
 _Block = TypeVar("_Block", bound=Block)

@@ -35,6 +35,7 @@ _TYPES = {
     "model_attributes_type": "a mapping of keys",
 }
 _LONGEST_VALUE = 60
+_MOST_KEYS = 3
 
 
 class ScenarioError(PtnsbcError):
@@ -81,6 +82,14 @@ def similar(word: object, known: Iterable[object]) -> str:
     if match:
         return f'did you mean "{match[0]}"?'
     return "expected one of: " + ", ".join(names) if names else "expected none here"
+
+
+def _ending_in(word: object, keys: Iterable[str]) -> list[str]:
+    """The first dotted keys whose last name is a word with its unit, or else closest to the word."""
+    ends = {key: key.rpartition(".")[2] for key in keys}
+    whole = [end for end in ends.values() if end.startswith(f"{word}_")]
+    match = whole or difflib.get_close_matches(str(word), ends.values(), n=1)
+    return [key for key, end in ends.items() if end in match][:_MOST_KEYS]
 
 
 def shown(value: object) -> str:
@@ -142,7 +151,12 @@ def _line(detail: ErrorDetails, tree: object) -> str:
     if kind == "union_tag_not_found":
         return f"{where}.kind: missing: expected this key"
     if kind == "unknown_key":
-        return f"{where}: unknown key: {similar(context['below'][-1], context['known'])}"
+        key = context["below"][-1]
+        found = similar(key, context["known"])
+        if not found.startswith("did") and (deeper := _ending_in(key, context["deep"])):
+            above = where.removesuffix(str(key))
+            found = f"did you mean {' or '.join(above + one for one in deeper)}?"
+        return f"{where}: unknown key: {found}"
     value = context.get("value", detail["input"])
     if kind == "union_tag_invalid":
         where, value = f"{where}.kind", context.get("tag")

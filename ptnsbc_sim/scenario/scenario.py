@@ -31,7 +31,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     takes_setpoints,
 )
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock
-from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error, shown
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.content import (
     names_table,
@@ -105,6 +105,10 @@ class Scenario(ScenarioFile):
         Raises:
             ScenarioError: an unknown key, or a value that does not fit.
         """
+        if not isinstance(keys, Mapping | None):
+            raise ScenarioError(
+                f"with_: {shown(keys)}: expected values by dotted key, as in {{'seed': 3}}"
+            )
         changes = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
         return scenario_from_text(self.text, changes, source=self.source)
 

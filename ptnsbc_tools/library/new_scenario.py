@@ -14,6 +14,7 @@ from ptnsbc_io.files import replacing
 from ptnsbc_sim import scenario
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.problems import similar
+from ptnsbc_tools.limits import refuse_outside
 
 SCHEMA = Path(scenario.__file__).with_name("scenario.schema.json")
 """The schema that the modeline of a scenario file names."""
@@ -32,11 +33,9 @@ def text_of(
 ) -> str:
     """The file of a new scenario: it passes `ptnsbc check`, and every block has a comment; arguments as of `new`."""
     if shape not in SHAPES:
-        raise NewScenarioError(f"--shape {shape}: {similar(shape, SHAPES)}")
-    if not 2 <= n <= MOST:
-        raise NewScenarioError(f"--n {n}: expected 2 to {MOST} UAVs")
-    if not 1.0 <= spacing_m <= 100.0:
-        raise NewScenarioError(f"--spacing {spacing_m:g}: expected 1 to 100 m")
+        raise NewScenarioError(f"shape {shape}: {similar(shape, SHAPES)}")
+    refuse_outside("n", n, 2, MOST)
+    refuse_outside("spacing_m", spacing_m, 1.0, 100.0)
     places = SHAPES[shape](n, spacing_m)
     lowest = float(places[:, 2].min())
     height_m = _HEIGHT_M + max(-lowest - _HEIGHT_M + 2.0 * _START_M, 0.0)  # no place in the ground
@@ -91,7 +90,7 @@ def new(
         raise NewScenarioError(f'"{file}": expected a name, or a file NAME.yaml')
     path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")
     if path.exists() and not overwrite:
-        raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
+        raise NewScenarioError(f"{path}: exists: choose another name, or overwrite it")
     text = text_of(named(path), shape, n, spacing_m, path.parent)
     with replacing(path, folder=True) as part:
         part.write_text(text, encoding="utf-8")

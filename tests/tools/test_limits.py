@@ -84,8 +84,13 @@ def test_the_library_refuses_numbers_that_mean_nothing() -> None:
     flight = ptnsbc.read_bag(SAMPLE)
     for call, words in (
         (lambda: ptnsbc.verdict(flight, -1.0), r"tolerance_m: -1: expected 1e-06 to 1e\+06"),
-        (lambda: ptnsbc.check("paper_5", dry_runs=-1), r"dry_runs: -1: expected 0 to 1e\+06"),
-        (lambda: ptnsbc.sweep("paper_5", 10**12), r"runs: 1e\+12: expected 1 to 1e\+06"),
+        (
+            lambda: ptnsbc.check("paper_5", dry_runs=-1),
+            r"dry_runs: -1: expected a whole number, 0 to 1e\+06",
+        ),
+        (lambda: ptnsbc.sweep("paper_5", 10**12), r"runs: 1e\+12: expected a whole number, 1 to "),
+        (lambda: ptnsbc.sweep("paper_5", 3.5), r"runs: 3\.5: expected a whole number, 1 to 1e\+06"),
+        (lambda: ptnsbc.verdict(flight, "5 cm"), r"tolerance_m: '5 cm': expected 1e-06 to 1e\+06"),
     ):
         with pytest.raises(PtnsbcError, match=words):
             call()

@@ -129,7 +129,7 @@ def test_same_input_same_bytes(tmp_path, compression):
 
 def test_existing_target(tmp_path):
     path = write_bag(tmp_path / "flight")
-    with pytest.raises(BagError, match="flight exists: choose another name or pass --overwrite"):
+    with pytest.raises(BagError, match="flight exists: choose another name, or overwrite it"):
         write_bag(path)
     before = (path / "metadata.yaml").stat().st_ino
     write_bag(path, overwrite=True)

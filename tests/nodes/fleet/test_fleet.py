@@ -394,7 +394,7 @@ def test_an_existing_bag_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "bag").mkdir()
     said = []
     options = FleetOptions(load_scenario("paper_5"), bag=tmp_path / "bag")
-    with pytest.raises(BagError, match="choose another name or pass --overwrite"):
+    with pytest.raises(BagError, match="choose another name, or overwrite it"):
         run_fleet(options, said.append)
     assert said == []
 

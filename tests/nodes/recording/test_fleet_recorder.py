@@ -391,7 +391,7 @@ def test_killed_process_keeps_what_was_flushed(ros, tmp_path):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ([], "exists: choose another name or pass --overwrite"),
+        ([], "exists: choose another name, or overwrite it"),
         (["--attach", "a=/no/such/file"], "--attach a=/no/such/file: No such file"),
     ],
 )

@@ -223,6 +223,9 @@ def test_file_that_is_no_text(tmp_path: Path) -> None:
     ("overrides", "expected"),
     [
         ({"gains.formaton.scale": 2}, 'gains.formaton: unknown key: did you mean "formation"'),
+        ({"deadline_s": 6}, "deadline_s: unknown key: did you mean gains.formation.deadline_s or "),
+        ({"wind": 1}, "wind: unknown key: did you mean world.wind_m_s?"),
+        ({"gains.kapa": 1}, "gains.kapa: unknown key: did you mean gains.formation.kappa_1_s or "),
         ({"uavs[9].position_m": [0, 0, 0]}, "uavs[9].position_m: 9: expected an index below 5"),
         ({"seed.x.y": 1}, "nothing below this key"),
     ],

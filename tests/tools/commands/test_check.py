@@ -26,7 +26,7 @@ def test_a_file_is_written_once(tmp_path: Path) -> None:
     assert (code, out, err) == (0, f"{file}\n", f"next: ptnsbc check {file}\n")
     assert len(load_scenario(file).uav_ids) == 6
     code, _, err = run("new", file)
-    assert code == 2 and "exists: choose another name, or --overwrite" in err
+    assert code == 2 and "exists: choose another name, or overwrite it" in err
     assert run("new", file, "--overwrite", "-n", 3)[0] == 0
     assert len(load_scenario(file).uav_ids) == 3
 
@@ -34,7 +34,7 @@ def test_a_file_is_written_once(tmp_path: Path) -> None:
 def test_a_shape_that_does_not_exist_is_one_line(tmp_path: Path) -> None:
     code, out, err = run("new", tmp_path / "a", "--shape", "gridd")
     assert (code, out) == (2, "")
-    assert err == 'error: --shape gridd: did you mean "grid"?\n'
+    assert err == 'error: shape gridd: did you mean "grid"?\n'
     assert list(tmp_path.iterdir()) == []
 
 

@@ -39,6 +39,14 @@ def test_an_unknown_key_names_the_known_one() -> None:
         load("paper_5").with_(sed=3)
 
 
+def test_what_is_no_scenario_is_refused_in_words() -> None:
+    for value in (None, 5, np.zeros(3)):
+        with pytest.raises(ScenarioError, match="expected a scenario, its name or file"):
+            fly(value)  # type: ignore[arg-type]
+    with pytest.raises(ScenarioError, match='with_: "a=1": expected values by dotted key'):
+        load("paper_5").with_("a=1")  # type: ignore[arg-type]
+
+
 def test_the_check_says_ok_or_refuses() -> None:
     good = check(load("paper_5"), dry_runs=0)
     assert good.ok and len(good) == len(list(good))

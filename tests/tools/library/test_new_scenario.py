@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ptnsbc
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import scenario_from_text
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 from ptnsbc_sim.scenario.reading.reader import parse
@@ -64,14 +65,14 @@ def test_the_file_flies() -> None:
 @pytest.mark.parametrize(
     ("shape", "n", "spacing", "match"),
     [
-        ("vee", 5, 2.0, r"--shape vee: "),
-        ("v", 1, 2.0, r"--n 1: expected 2 to 254"),
-        ("v", 5, 0.1, r"--spacing 0\.1: expected 1 to 100 m"),
-        ("v", 5, math.nan, r"--spacing nan: expected"),
+        ("vee", 5, 2.0, r"shape vee: "),
+        ("v", 1, 2.0, r"n: 1: expected a whole number, 2 to 254"),
+        ("v", 5, 0.1, r"spacing_m: 0\.1: expected 1 to 100"),
+        ("v", 5, math.nan, r"spacing_m: nan: expected"),
     ],
 )
 def test_what_cannot_be_made_is_refused(shape: str, n: int, spacing: float, match: str) -> None:
-    with pytest.raises(NewScenarioError, match=match):
+    with pytest.raises(PtnsbcError, match=match):
         text_of("mine", shape, n, spacing)
 
 
