@@ -21,8 +21,15 @@ from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, tolerance_of, whole
 from ptnsbc_tools import ros
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
-from ptnsbc_tools.plotting.charts import CHARTS, FlightView, view_of
-from ptnsbc_tools.plotting.draw import draw_chart, draw_flight, draw_paths
+from ptnsbc_tools.plotting.charts import CHARTS, Chart, FlightView, view_of
+from ptnsbc_tools.plotting.draw import (
+    draw_chart,
+    draw_flight,
+    draw_paths,
+    figure_of,
+    save,
+    sized,
+)
 from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording, read_status
 
 if TYPE_CHECKING:
@@ -241,15 +248,19 @@ class Flight(FlightArrays):
         `layout="constrained"` has room for it; `labels` names limits and times at their lines.
         FlightError when there is no such figure, or the flight has no data for it.
         """
+        chart = self._chart(what)
+        axes = new_axes() if axes is None else axes
+        draw_chart(axes, chart, legend=legend, labels=labels)
+        return axes
+
+    def _chart(self, what: str) -> Chart:
         if what not in CHARTS:
             raise FlightError(f"{what}: no figure of a flight: {similar(what, CHARTS)}")
         chart = self.view.chart(what)
         if chart is None:
             reason = self.view.problem or "the flight has no data for it"
             raise FlightError(f"{what}: nothing to draw: {reason}")
-        axes = new_axes() if axes is None else axes
-        draw_chart(axes, chart, legend=legend, labels=labels)
-        return axes
+        return chart
 
     def plot_errors(self, axes: Any = None, *, legend: bool = True, labels: bool = True) -> Any:
         """Draw the formation errors with deadline and tolerance on Matplotlib axes, and return them; see `plot`."""
@@ -261,8 +272,18 @@ class Flight(FlightArrays):
         draw_paths(axes, self.recording, legend=legend)
         return axes
 
-    def save_picture(self, path: str | Path) -> Path:
-        """Draw paths and errors into a PNG, SVG or PDF, as `ptnsbc verify --picture` does, and return its path."""
+    def save_picture(
+        self, path: str | Path, what: str | None = None, *, columns: str | None = None
+    ) -> Path:
+        """Draw paths and errors into a PNG, SVG or PDF, as `ptnsbc verify --picture` does, and return its path.
+
+        `what`: instead one figure, as `ptnsbc plot --what`; `columns`: for "one" or "two" columns of a journal. A PDF
+        holds its fonts as TrueType. FlightError as `plot`.
+        """
+        if what is not None:
+            with sized(columns):
+                figure = figure_of(self._chart(what), self.scenario.name, columns)
+                return save(figure, Path(path))
         limit_m = tolerance_of(self.recording, self.tolerance_m)
         shown = FlightView(self.recording, StatusSeries(), limit_m, self.verdict, "", self.bag)
         return draw_flight(shown, Path(path))

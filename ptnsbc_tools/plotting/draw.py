@@ -17,6 +17,7 @@ from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario import Obstacle
+from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_tools.plotting.charts import (
     COLOURS,
@@ -39,7 +40,7 @@ COLUMNS_IN: Mapping[str, float] = {"one": 3.5, "two": 7.16}
 _SIZE_IN = (9.0, 4.2)
 _HEIGHT = 0.6  # of a figure for a column, of its width
 _COLUMN_FONT = 8.0
-_DPI = 110
+_DPI, _COLUMN_DPI = 110, 300
 _PATH_POINTS = 4000
 _UPRIGHT = 0.7  # part of the normal along the line of sight from which on a surface is not drawn
 _EDGE = 0.03  # of the time shown: words of a mark nearer to its end stand before it
@@ -50,7 +51,9 @@ _BELOW = 3.2  # from the axes to the legend below them, of the size of the font
 # Widths of a letter of a legend and of what stands before a name, of its size
 _LETTER, _HANDLE = 0.6, 3.5
 _ENTRY_IN, _ROW_IN = 1.0, 0.15  # of a legend
-_SMALL = 0.7  # letters of a legend, of the size of the font
+_SMALL = 0.8  # letters of a legend, of the size of the font
+_LEFT_OVER = 0.75  # of the height of axes, beside a legend
+_BEHIND_CURVES = 1.5  # zorder
 
 # Without these a file contains the date and random names.
 _UNDATED: dict[str, dict[str, None]] = {
@@ -71,7 +74,7 @@ def blank_figure(size_in: tuple[float, float]) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size_in, layout="constrained")
+    figure = Figure(figsize=size_in, layout="constrained", dpi=_DPI)
     FigureCanvasAgg(figure)  # pyplot would look for a screen
     return figure
 
@@ -80,6 +83,8 @@ def sized(columns: str | None) -> AbstractContextManager[None]:
     """Inside the `with` figures have the fonts of one or two columns of a journal; None: of a screen."""
     from matplotlib import rc_context
 
+    if columns not in (None, *COLUMNS_IN):
+        raise PtnsbcError(f"columns {columns}: {similar(columns, COLUMNS_IN)}")
     return rc_context({} if columns is None else {"font.size": _COLUMN_FONT})
 
 
@@ -88,6 +93,7 @@ def draw_chart(axes: Any, chart: Chart, *, legend: bool = True, labels: bool = T
 
     `legend`: name the curves, below the axes; `labels`: name limits and times at their lines.
     """
+    from matplotlib import rcParams
     from matplotlib.ticker import NullLocator
 
     if chart.floor:
@@ -100,20 +106,24 @@ def draw_chart(axes: Any, chart: Chart, *, legend: bool = True, labels: bool = T
         axes.axvspan(begin, end, color=OBSTACLE, alpha=0.12, linewidth=0, label=label)
     if chart.band is not None:
         axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0, label=chart.band_label)
-    words: dict[str, Any] = {"textcoords": "offset points", "fontsize": "x-small", "bbox": _PAPER}
+    words: dict[str, Any] = {"textcoords": "offset points", "fontsize": "small", "bbox": _PAPER,
+                             "zorder": _BEHIND_CURVES}  # fmt: skip
     for limit in chart.limits:
         axes.axhline(limit.value, color="black", linewidth=0.9, linestyle=":")
         if labels:
-            axes.annotate(limit.label, (0.0, limit.value), xycoords=("axes fraction", "data"),
-                          xytext=(4, 3), **words)  # fmt: skip
+            axes.annotate(limit.label, (1.0, limit.value), xycoords=("axes fraction", "data"),
+                          xytext=(-3, 3), ha="right", **words)  # fmt: skip
     for mark in chart.marks:
         axes.axvline(mark.t, color="black", linewidth=0.8)
+    axes.margins(x=0.01, y=0.12)  # words stand above the highest limit
     axes.set_ylim(bottom=chart.floor)
     unit = f" [{chart.unit}]" if chart.unit else ""
-    axes.set(xlabel="time after the epoch [s]", ylabel=f"{chart.quantity}{unit}")
+    points = 72.0 * axes.get_window_extent().height / axes.get_figure(root=True).dpi
+    letters = int(_LEFT_OVER * points / (_LETTER * rcParams["font.size"]))
+    axes.set(xlabel="time after the epoch [s]")
+    axes.set_ylabel(textwrap.fill(f"{chart.quantity}{unit}", max(letters, 1)))
     axes.set_title(chart.title, fontsize="medium")
     axes.grid(alpha=0.3)
-    axes.margins(x=0.01)
     begin, end = axes.get_xlim()
     for mark in chart.marks if labels else ():
         side = {"xytext": (2, -3), "ha": "left"}
@@ -156,6 +166,7 @@ def figure_of(chart: Chart, heading: str, columns: str | None = None) -> Any:
         size = COLUMNS_IN[columns], _HEIGHT * COLUMNS_IN[columns]
     rows = len(chart.curves) * _ENTRY_IN // size[0]  # of the legend, beyond the first
     figure = blank_figure((size[0], size[1] + _ROW_IN * rows))
+    figure.dpi = _DPI if columns is None else _COLUMN_DPI
     axes = figure.add_subplot()
     draw_chart(axes, chart)
     title, note = (f"{heading}: {chart.title}", chart.note) if columns is None else ("", "")
@@ -181,7 +192,7 @@ def save(figure: Any, path: Path) -> Path:
 
     kind = format_of(path)
     with replacing(path, folder=True) as part, matplotlib.rc_context(_FILES):
-        figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=_UNDATED[kind])
+        figure.savefig(part, dpi=figure.dpi, format=kind[1:], metadata=_UNDATED[kind])
     return path
 
 

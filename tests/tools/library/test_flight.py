@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording
@@ -83,6 +84,16 @@ def test_figures_are_drawn_on_the_given_axes(flight: Flight) -> None:
         len(flight.plot_paths(figure.add_subplot()).lines) == 5 + 5 + 2 * 4
     )  # paths, UAVs, the tree at two times
     assert flight.plot("gain", figure.add_subplot()).lines
+
+
+def test_a_figure_for_a_paper_is_saved(flight: Flight, tmp_path: Path) -> None:
+    path = flight.save_picture(tmp_path / "e.pdf", "errors", columns="one")
+    content = path.read_bytes()
+    assert b"/Type3" not in content and b"/MediaBox [ 0 0 252 " in content
+    with pytest.raises(PtnsbcError, match="columns three: expected one of: one, two"):
+        flight.save_picture(tmp_path / "f.pdf", "errors", columns="three")
+    with pytest.raises(PtnsbcError, match='eror: no figure of a flight: did you mean "errors"'):
+        flight.save_picture(tmp_path / "f.pdf", "eror")
 
 
 def test_a_bag_gives_the_same_arrays(flight: Flight, headless: Path) -> None:

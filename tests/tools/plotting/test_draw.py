@@ -53,6 +53,22 @@ def test_a_pdf_has_fonts_that_journals_take_and_the_width_of_their_columns(fly, 
         assert figure.axes[0].get_title() == ""
 
 
+@pytest.mark.parametrize("legend", [True, False])
+@pytest.mark.parametrize("columns", [None, "one"])
+def test_the_labels_of_small_axes_stand_in_the_figure(fly, columns, legend):
+    """Also the longest one, which is broken into lines; a size of 10 points is that of Matplotlib."""
+    view = view_of(fly(seconds=7.0), StatusSeries())
+    for chart in (view.chart("errors"), view.chart("between")):
+        with draw.sized(columns):
+            figure = draw.blank_figure((3.5, 2.2))
+            axes = figure.add_subplot()
+            draw.draw_chart(axes, chart, legend=legend)
+            figure.draw_without_rendering()
+        label = axes.yaxis.label.get_window_extent()
+        assert label.y0 >= -1.0 and label.y1 <= figure.bbox.height + 1.0
+        assert label.x0 >= 0.0
+
+
 def test_no_name_covers_a_curve_or_another_name(fly):
     """The legend stands below the axes, and names in the picture from above stand apart."""
     recording = fly(scenario=load_scenario("paper_5", {"timing.duration_s": 12.0}))
