@@ -133,12 +133,18 @@ def new(
     ] = "v",
     n: Annotated[int, option("--n -n N", "UAVs with the leader.", 2, 254)] = 5,
     spacing: Annotated[float, option("--spacing M", "Distance of neighbours.", 1.0, 100.0)] = 2.0,
+    trajectory: Annotated[
+        Path | None,
+        option(
+            "--trajectory FILE", "Path of the leader, such as rows t, x, y, z, yaw; else a circle."
+        ),
+    ] = None,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
 ) -> None:
     """Write a commented scenario, ready to check and fly."""
     from ptnsbc_tools.library import new_scenario
 
-    path = new_scenario.new(file, shape, n, spacing, overwrite=overwrite)
+    path = new_scenario.new(file, shape, n, spacing, trajectory=trajectory, overwrite=overwrite)
     console.show(str(path))
     console.say(f"next: {console.program()} check {path}")
 

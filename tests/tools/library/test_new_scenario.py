@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 import ptnsbc
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import scenario_from_text
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 from ptnsbc_sim.scenario.reading.reader import parse
 from ptnsbc_sim.sweep.family import _places
@@ -60,6 +61,71 @@ def test_the_file_flies() -> None:
     assert report.ok and report.plan["flown"].startswith("4 of 4 in place by 6 s")
     starts = [made.uav(uav).position - made.uav(1).position - made.offset(uav) for uav in (2, 3, 4)]
     assert min(np.linalg.norm(starts, axis=1)) > 0.9
+
+
+def uncommented(text: str, key: str, number: int) -> str:
+    """The file with one of its commented blocks; a trajectory stands in the place of the one that is there."""
+    lines = text.splitlines()
+    begins = [k for k, line in enumerate(lines) if re.match(rf" *# {key}:", line)]
+    begin = end = begins[number]
+    indent = lines[begin].index("#")
+    while end == begin or lines[end].startswith(" " * indent + "#   "):
+        end += 1
+    lines[begin:end] = [line[:indent] + line[indent + 2 :] for line in lines[begin:end]]
+    if key == "trajectory":
+        lines.remove(next(line for line in lines if line.startswith("  trajectory:")))
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("key", "number"),
+    [("obstacles", 0), ("mission", 0), *(("trajectory", number) for number in range(3))],
+)
+def test_each_commented_block_flies(key: str, number: int, tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("0,0,5,6,0\n6,3,5,6,0.5\n60,20,9,6,0\n")
+    text = uncommented(text_of("mine", "v", 4), key, number)
+    assert len(text) < len(text_of("mine", "v", 4))
+    made = scenario_from_text(text, folder=tmp_path)
+    if key != "mission":
+        made = made.with_({"timing.duration_s": 20})
+    report = check(made, dry_runs=1)
+    assert [one for one in report if one.severity != "info"] == []
+    assert report.plan["flown"].startswith("4 of 4 in place by 6 s")
+
+
+@pytest.mark.parametrize(
+    ("rows", "frame", "behind"),
+    [
+        ("x", "heading", [0.0, -2.4, 0.0]),  # north, without a stop
+        ("x,yaw", "heading", [2.4, 0.0, 0.0]),  # looks west
+        ("stop", "world", [-2.4, 0.0, 0.0]),  # has no heading where it stops
+    ],
+)
+def test_the_leader_flies_a_file(
+    rows: str, frame: str, behind: list[float], tmp_path: Path
+) -> None:
+    """The shape turns with a path that has a heading all along, and starts as it is turned at its begin."""
+    t = np.linspace(0.0, 30.0, 31)
+    north = np.minimum(t, 12.0) if rows == "stop" else t
+    columns = [t, np.full_like(t, 3.0), 0.5 * north, np.full_like(t, 7.0)]
+    columns += [np.full_like(t, np.pi)] if rows == "x,yaw" else []
+    np.savetxt(tmp_path / "way.csv", np.stack(columns, axis=1), delimiter=",")
+    file = new(tmp_path / "below" / "mine", "column", 2, trajectory=f"csv:{tmp_path / 'way.csv'}")
+    assert "file: ../way.csv" in file.read_text("utf-8")
+    made = load_scenario(file)
+    assert made.formation.frame == frame
+    assert made.uav(1).position.tolist() == [3.0, 0.0, 1.0]
+    np.testing.assert_allclose(made.uav(2).position - [3.0, 0.0, 1.0], 1.25 * np.array(behind))
+    report = check(made, dry_runs=1)
+    assert report.ok and report.plan["flown"].startswith("2 of 2 in place by 6 s")
+
+
+def test_a_file_that_is_no_trajectory_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "words.csv").write_text("a b c\n")
+    for name in ("words.csv", "none.csv"):
+        with pytest.raises(PtnsbcError, match=rf"{name}: leader\.trajectory\.file: "):
+            new(tmp_path / "mine", trajectory=str(tmp_path / name))
+    assert not (tmp_path / "mine.yaml").exists()
 
 
 @pytest.mark.parametrize(
