@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from numbers import Integral, Real
+from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 
@@ -19,14 +20,13 @@ class LimitError(PtnsbcError):
     """A value outside the range in which it has a meaning."""
 
 
-def refuse_outside(
-    name: str, value: float | None, low: float = 0.0, high: float = LONGEST_S
-) -> None:
+def refuse_outside(name: str, value: Any, low: float = 0.0, high: float = LONGEST_S) -> None:
     """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value.
 
     Between whole limits a value is whole.
     """
-    kind, whole = (Integral, "a whole number, ") if isinstance(low, int) else (Real, "")
+    kind: Any = Integral if isinstance(low, int) else Real
+    whole = "a whole number, " if kind is Integral else ""
     if value is None or (isinstance(value, kind) and low <= value <= high):
         return
     given = f"{value:g}" if isinstance(value, Real) else repr(value)

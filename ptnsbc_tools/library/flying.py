@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import Scenario, ScenarioError, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.problems import shown
+from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_sim.verdict import Verdict, verdict_on
@@ -46,11 +45,8 @@ def load(scenario: ScenarioLike, /, **keys: Any) -> Scenario:
     given = {key: reader.plain(value) for key, value in keys.items()}
     if isinstance(scenario, Scenario):
         return scenario.with_(given) if given else scenario
-    if isinstance(scenario, str | Path):
-        return load_scenario(scenario, given)
     if not isinstance(scenario, Mapping):
-        expected = "a scenario, its name or file, or a mapping with its keys"
-        raise ScenarioError(f"{shown(scenario)}: {type(scenario).__name__}: expected {expected}")
+        return load_scenario(scenario, given)
     return scenario_from_text(
         reader.dump(reader.plain(scenario)), given, source="mapping", folder=Path.cwd()
     )

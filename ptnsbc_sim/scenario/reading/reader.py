@@ -140,7 +140,11 @@ def available(below: str = "") -> list[str]:
 
 def find(name: str | Path, beside: Path | None = None) -> Path:
     """The file of a scenario, given by path or by name without suffix."""
-    given = Path(name).expanduser()
+    try:
+        given = Path(name).expanduser()
+    except TypeError:
+        expected = "a scenario, its name or file, or a mapping with its keys"
+        raise ScenarioError(f"{shown(name)}: expected {expected}") from None
     if not given.name:
         raise ScenarioError(f'"{name}": expected the name or the file of a scenario')
     in_full = given.suffix in _SUFFIXES
