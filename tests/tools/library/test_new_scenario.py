@@ -109,9 +109,9 @@ def test_the_leader_flies_a_file(
     north = np.minimum(t, 12.0) if rows == "stop" else t
     columns = [t, np.full_like(t, 3.0), 0.5 * north, np.full_like(t, 7.0)]
     columns += [np.full_like(t, np.pi)] if rows == "x,yaw" else []
-    np.savetxt(tmp_path / "way.csv", np.stack(columns, axis=1), delimiter=",")
-    file = new(tmp_path / "below" / "mine", "column", 2, trajectory=f"csv:{tmp_path / 'way.csv'}")
-    assert "file: ../way.csv" in file.read_text("utf-8")
+    np.savetxt(tmp_path / "a, way.csv", np.stack(columns, axis=1), delimiter=",")
+    file = new(tmp_path / "below" / "mine", "column", 2, trajectory=tmp_path / "a, way.csv")
+    assert 'file: "../a, way.csv"' in file.read_text("utf-8")
     made = load_scenario(file)
     assert made.formation.frame == frame
     assert made.uav(1).position.tolist() == [3.0, 0.0, 1.0]
