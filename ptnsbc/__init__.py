@@ -26,6 +26,7 @@ from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.replay.rerun import Rerun
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Share
+from ptnsbc_tools.tables import Summary
 
 __all__ = [
     "new",
@@ -57,6 +58,7 @@ __all__ = [
     "Sweep",
     "Share",
     "SweepComparison",
+    "Summary",
     "Quantity",
     "QUANTITIES",
     "PtnsbcError",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ptnsbc_sim.verdict import Verdict
-from ptnsbc_sim.verdict.deadline import KEPT, MET, VOID
+from ptnsbc_sim.verdict.deadline import KEPT, MET, VOID, UavVerdict
 from ptnsbc_sim.verdict.encounters import listed
 from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.verdict import LegVerdict
-from ptnsbc_tools import console
+from ptnsbc_tools import console, ros
 from ptnsbc_tools.check.finding import INFO, Finding
 from ptnsbc_tools.options import Showing
 
@@ -32,7 +34,9 @@ _COLOURS = {
     "met": "green",
 }
 _NEAREST = 6
-_WIDTH = 80
+_WIDTH, _WIDEST = 80, 140
+_WORDS = ("", "cause", "unit", "all UAVs", "each flight", "95 % interval")
+"""Headings of columns that hold no numbers."""
 
 # Heading, attribute and digits of each column of numbers
 _Columns = tuple[tuple[str, str, int], ...]
@@ -78,13 +82,54 @@ def _numbers(of: object, columns: _Columns) -> list[str]:
     return ["-" if value is None else f"{value:.{digits}f}" for value, digits in values]
 
 
-def _table(title: str, left: Iterable[str], right: _Columns = ()) -> Table:
+def new_table(title: str, heads: Iterable[str], words: Container[str] = _WORDS) -> Table:
+    """A table without rows; all columns but `words` are numbers."""
     table = Table(title=title, title_justify="left", title_style="bold")
-    for name in left:
-        table.add_column(name, overflow="fold")
-    for name, _, _ in right:
-        table.add_column(name, justify="right")
+    for head in heads:
+        table.add_column(head, justify="left" if head in words else "right", overflow="fold")
     return table
+
+
+def _table(title: str, left: Sequence[str], right: _Columns = ()) -> Table:
+    return new_table(title, (*left, *(name for name, _, _ in right)), left)
+
+
+@dataclass(frozen=True, repr=False)
+class Summary:
+    """Figures in rows: for people by `print`, for pandas, and for LaTeX."""
+
+    title: str
+    rows: tuple[Mapping[str, Any], ...]
+    """The columns are the keys, the same in every row; None or NaN: there is no such figure."""
+
+    def to_pandas(self) -> Any:
+        """The rows as a pandas DataFrame."""
+        return ros.library("pandas", "to_pandas()").DataFrame(self.rows)
+
+    def to_latex(self) -> str:
+        """The rows as LaTeX, for the package booktabs; what LaTeX would read as a command is escaped."""
+        ros.library("jinja2", "to_latex()")
+        frame = self.to_pandas()
+        return str(frame.to_latex(index=False, escape=True, float_format="%.4g", na_rep="-"))
+
+    def table(self) -> Table:
+        """The rows for a terminal."""
+        words = [head for head, value in self.rows[0].items() if isinstance(value, str)]
+        table = new_table(self.title, self.rows[0], words)
+        for row in self.rows:
+            table.add_row(*map(_cell, row.values()))
+        return table
+
+    def __repr__(self) -> str:
+        shown = console.recording(StringIO(), _WIDEST)
+        shown.print(self.table())
+        return shown.export_text()
+
+
+def _cell(value: Any) -> str:
+    if value is None or value != value:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def word(kind: str) -> Text:
@@ -107,16 +152,19 @@ def findings_table(findings: Iterable[Finding], *, brief: bool = False) -> Table
     return table
 
 
-def deadline_table(verdict: Verdict) -> Table:
-    """One row per UAV: whether it met its deadline and kept its distances."""
-    title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
-    own = all(one.slot == one.uav for one in verdict.uavs)
+def verdict_summary(verdict: Verdict, uavs: Sequence[UavVerdict] = ()) -> Summary:
+    """The figures of each UAV, of all of the verdict or of these: its deadline, and what was kept after it."""
+    uavs = uavs or verdict.uavs
+    own = all(one.slot == one.uav for one in uavs)
     columns = _DEADLINE if own else (_SLOT, *_DEADLINE)
-    columns += _MISSING if any(one.missing for one in verdict.uavs) else ()
-    table = _table(title, ("UAV", "verdict"), columns)
-    for one in verdict.uavs:
-        table.add_row(str(one.uav), word(one.verdict), *_numbers(one, columns))
-    return table
+    columns += _MISSING if any(one.missing for one in uavs) else ()
+    rows = (
+        {"UAV": one.uav, "verdict": one.verdict}
+        | {head: getattr(one, name) for head, name, _ in columns}
+        for one in uavs
+    )
+    title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
+    return Summary(title, tuple(rows))
 
 
 def _change_table(verdict: Verdict) -> Table | None:
@@ -271,7 +319,7 @@ def verdict_sentence(verdict: Verdict) -> Text:
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
     """All tables of a verdict: deadlines, input, and the least distances."""
-    tables = [deadline_table(verdict)]
+    tables = [verdict_summary(verdict).table()]
     regained = [uav for uav in verdict.uavs if uav.regained_s is not None]
     if regained:
         tables.append(back := _table("Way back after encounters", ("UAV",), _REGAINED))

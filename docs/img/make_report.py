@@ -45,7 +45,7 @@ def opened(browser: Any, bag: Path, folder: Path) -> Any:
     """The report of a bag in the browser, at TIME_S, with all its figures."""
     page = folder / f"{bag.name}-report"
     report = [sys.executable, "-m", "ptnsbc_tools", "report", str(bag), "-o", str(page)]
-    subprocess.run([*report, "--no-pictures"], check=True)
+    subprocess.run(report, check=True)
     tab = browser.new_page(viewport=SIZE, color_scheme="light")
     tab.goto((page / "index.html").as_uri())
     tab.wait_for_selector("html[data-ready=true]")

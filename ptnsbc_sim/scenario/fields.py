@@ -152,16 +152,11 @@ class Block(BaseModel):
 
 def keys_below(block: type[Block]) -> Iterator[str]:
     """The dotted keys of the blocks below a block; entries of lists have none."""
-
-    def blocks(kind: Any) -> Iterator[type[Block]]:
-        if isinstance(kind, type) and issubclass(kind, Block):
-            yield kind
-        elif get_origin(kind) in (Union, UnionType):
-            yield from (one for part in get_args(kind) for one in blocks(part))
-
     for name, field in block.model_fields.items():
-        for below in blocks(field.annotation):
-            yield from (f"{name}.{key}" for key in (*below.model_fields, *keys_below(below)))
+        kind = field.annotation
+        for one in get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,):
+            if isinstance(one, type(Block)):
+                yield from (f"{name}.{key}" for key in (*one.model_fields, *keys_below(one)))
 
 
 _Block = TypeVar("_Block", bound=Block)

@@ -168,7 +168,7 @@ class MissionLegVerdict:
     reason: str  # why not met, or why late; empty when met
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verdict:
     """All results of a recording: deadlines, input, separations, estimators, timing."""
 
@@ -211,6 +211,10 @@ class Verdict:
         """The UAVs that were in place at the deadline of the first leg."""
         return self.legs[0].in_place
 
+    def __repr__(self) -> str:
+        there = f"{self.in_place.count} of {self.in_place.of}"
+        return f"<Verdict on {self.scenario}: {self.verdict}, {there} in place at the deadline>"
+
     def strict(self) -> Verdict:
         """The verdict of those to whom late is missed, whatever the UAVs gave way to."""
 
@@ -223,10 +227,10 @@ class Verdict:
 
     def as_json(self) -> dict[str, Any]:
         """The verdict in plain types; a figure that does not exist is null."""
-        plain = _plain(dataclasses.asdict(self))
-        for entry, leg in zip(plain["legs"], self.legs, strict=True):
+        told = plain(dataclasses.asdict(self))
+        for entry, leg in zip(told["legs"], self.legs, strict=True):
             entry |= {"verdict": leg.verdict, "in_place": vars(leg.in_place)}
-        return {"verdict": self.verdict, "in_place": vars(self.in_place), **plain}
+        return {"verdict": self.verdict, "in_place": vars(self.in_place), **told}
 
 
 def _worst(verdicts: Iterable[str]) -> str:
@@ -234,11 +238,12 @@ def _worst(verdicts: Iterable[str]) -> str:
     return next(kind for kind in WORST_FIRST if kind in found)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value as JSON has it, whose numbers are all finite: None for others."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

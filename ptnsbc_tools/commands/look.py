@@ -57,9 +57,6 @@ def report(
     other: Annotated[
         Path | None, option("--with BAG", "Another flight, whose curves are shown dotted.")
     ] = None,
-    pictures: Annotated[
-        bool, option("--pictures/--no-pictures", "Write the figures as PNG beside the page.")
-    ] = True,
     json: JsonOption = False,
 ) -> None:
     """Show a recorded flight: a page with playback and figures.
@@ -71,13 +68,10 @@ def report(
     from ptnsbc_tools.library import reporting
 
     with console.patience(f"reading {bag}"):
-        made = reporting.report(
-            bag, out, other=other, options=reading, pictures=pictures, progress=True
-        )
+        made = reporting.report(bag, out, other=other, options=reading)
     if json:
-        pictures_made = [str(picture) for picture in made.pictures]
         about = {"verdict": made.verdict, "problem": made.problem or None}
-        console.print_json({"report": str(made.page), "pictures": pictures_made, **about})
+        console.print_json({"report": str(made.page), **about})
     else:
         print(made.page)
         console.say("open it in a browser; it needs no network")
@@ -135,7 +129,7 @@ def plot(
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or bag.parent / f"{shown.name}-figures"
     with draw.sized(width):
-        drawn = figures(shown, keys, columns=width)
+        drawn = figures(shown, keys, width)
         if kind == ".pdf":
             written = draw.save_pages([figure for _, figure in drawn], folder)
         else:

@@ -6,7 +6,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,7 +33,7 @@ from ptnsbc_tools.options import (
 if TYPE_CHECKING:
     from ptnsbc_sim.sweep.plan import SweepPlan
     from ptnsbc_sim.sweep.runner import SweepResult
-    from ptnsbc_tools.sweeps.summary import FlightTable, FlownSweep
+    from ptnsbc_tools.sweeps.summary import FlownSweep
 
 _BASE = "paper_5_free"
 _LACKING, _WORSE, _INTERRUPTED = 1, 1, 130
@@ -308,60 +308,51 @@ def _show(found: FlownSweep, flown: SweepResult, page: Path | None, *, verbose: 
 
 def compare(
     a: Annotated[Path, argument("A", "Folder or --name of a sweep, or a bag.")],
-    b: Annotated[Path, argument("B", "Another one of the same kind.")],
+    others: Annotated[list[Path], argument("B...", "One or more others of the same kind.")],
     margin: Annotated[
         float, option("--margin M", "An error that grew by less is not worse.", 0.0, FARTHEST_M)
     ] = 0.001,
     seed: Annotated[int, option("--seed N", "Seed of the bootstrap.", 0)] = 0,
-    html: Annotated[
-        Path | None, option("--html FILE", "Write the comparison as a page too.")
-    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Say whether B is worse than A: what was met and the errors, paired by draw, with intervals.
+    """Say whether others are worse than A: what was met and the errors, paired by draw, with intervals.
 
-    B is worse when it meets the deadline in fewer flights, or when the largest error after the deadline
-    has grown in the median, and that is no chance at 5 %. Exit code 0: B is not worse. 1: B is worse.
-    2: the two cannot be compared.
+    One is worse when it meets the deadline in fewer flights, or when the largest error after the deadline
+    has grown in the median, and that is no chance at 5 %: with several others for all together. Exit code 0: none
+    is worse. 1: one is worse. 2: they cannot be compared.
     """
+    from ptnsbc_tools.library import sweeping
     from ptnsbc_tools.sweeps import comparison
 
-    # A name means the folder where `ptnsbc sweep` puts the sweep of this name.
-    a, b = (SWEEPS / one if not one.exists() and (SWEEPS / one).is_dir() else one for one in (a, b))
     with console.patience("reading"):
-        first, second = _tables(a, b)
-    found = comparison.compare(first, second, margin_m=margin, seed=seed)
-    if html is not None:
-        from ptnsbc_tools.sweeps.sweep_report import write_comparison
-
-        with console.patience("drawing"):
-            write_comparison(html, (str(a), str(b)), (first, second), found)
+        first, *rest = _opened([a, *others])
+        names = [str(one) for one in others]
+        found = sweeping.compare(first, *rest, names=names, margin_m=margin, seed=seed)
     if json:
-        console.print_json({"a": str(a), "b": str(b), **comparison.as_json(found)})
+        each = [comparison.as_json(one) for one in found.others]
+        console.print_json({"a": str(a), "worse": found.worse, "others": each})
     else:
-        out = console.out()
-        for table in comparison.tables(found):
-            out.print(table)
-        out.print(comparison.line(found), soft_wrap=True)
-        if html is not None:
-            print(f"page: {html}")
+        console.out().print(found.summary.table())
+        for one in found.others:
+            console.show(str(one))
     if found.worse:
         raise typer.Exit(_WORSE)
 
 
-def _tables(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
+def _opened(paths: list[Path]) -> list[Any]:
+    """The sweeps or the flights; a name means the folder where `ptnsbc sweep` puts the sweep of this name."""
     from ptnsbc_sim.sweep.runner import PLAN
     from ptnsbc_tools.library.flight import flight_in
-    from ptnsbc_tools.library.sweeping import compared, open_sweep
+    from ptnsbc_tools.library.sweeping import open_sweep
     from ptnsbc_tools.sweeps.comparison import ComparisonError
 
-    for path in (a, b):
+    found = []
+    for given in paths:
+        named = not given.exists() and (SWEEPS / given).is_dir()
+        path = SWEEPS / given if named else given
         if not path.exists():
             raise ComparisonError(
                 f"{path}: no such sweep or bag, and no sweep of that name in {SWEEPS}"
             )
-    is_sweep = {(path / PLAN).is_file() for path in (a, b)}
-    if len(is_sweep) > 1:
-        raise ComparisonError(f"{a}, {b}: expected two sweeps or two bags")
-    read = open_sweep if is_sweep.pop() else flight_in
-    return compared(read(a), read(b))
+        found.append(open_sweep(path) if (path / PLAN).is_file() else flight_in(path))
+    return found

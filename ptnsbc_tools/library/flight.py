@@ -21,16 +21,10 @@ from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, tolerance_of, whole
 from ptnsbc_tools import ros
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
+from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import CHARTS, Chart, FlightView, view_of
-from ptnsbc_tools.plotting.draw import (
-    draw_chart,
-    draw_flight,
-    draw_paths,
-    figure_of,
-    save,
-    sized,
-)
 from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording, read_status
+from ptnsbc_tools.tables import Summary, verdict_summary
 
 if TYPE_CHECKING:
     from ptnsbc_sim.swarm import HeadlessFlight
@@ -191,6 +185,11 @@ class Flight(FlightArrays):
         return verdict_on(self.recording, self.tolerance_m)
 
     @property
+    def summary(self) -> Summary:
+        """The figures of every UAV in the verdict."""
+        return verdict_summary(self.verdict)
+
+    @property
     def legs(self) -> tuple[Flight, ...]:
         """The flight once for each of its formation legs; arrays and figures are of that leg."""
         numbers = range(len(self.recording.forms))
@@ -250,7 +249,7 @@ class Flight(FlightArrays):
         """
         chart = self._chart(what)
         axes = new_axes() if axes is None else axes
-        draw_chart(axes, chart, legend=legend, labels=labels)
+        draw.draw_chart(axes, chart, legend=legend, labels=labels)
         return axes
 
     def _chart(self, what: str) -> Chart:
@@ -269,7 +268,7 @@ class Flight(FlightArrays):
     def plot_paths(self, axes: Any = None, *, legend: bool = True) -> Any:
         """Draw paths, the formation and obstacles from above on Matplotlib axes, and return them; see `plot`."""
         axes = new_axes() if axes is None else axes
-        draw_paths(axes, self.recording, legend=legend)
+        draw.draw_paths(axes, self.recording, legend=legend)
         return axes
 
     def save_picture(
@@ -281,12 +280,12 @@ class Flight(FlightArrays):
         holds its fonts as TrueType. FlightError as `plot`.
         """
         if what is not None:
-            with sized(columns):
-                figure = figure_of(self._chart(what), self.scenario.name, columns)
-                return save(figure, Path(path))
+            with draw.sized(columns):
+                figure = draw.figure_of(self._chart(what), self.scenario.name, columns)
+                return draw.save(figure, Path(path))
         limit_m = tolerance_of(self.recording, self.tolerance_m)
         shown = FlightView(self.recording, StatusSeries(), limit_m, self.verdict, "", self.bag)
-        return draw_flight(shown, Path(path))
+        return draw.draw_flight(shown, Path(path))
 
     def save(
         self,

@@ -18,7 +18,7 @@ from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting import draw
-from ptnsbc_tools.plotting.charts import CHARTS, FlightView
+from ptnsbc_tools.plotting.charts import FlightView
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
@@ -29,10 +29,9 @@ _READ_MCAP = {".rrd": "Rerun", ".ulg": "PlotJuggler"}
 
 @dataclass(frozen=True)
 class Report:
-    """The files that `report` wrote."""
+    """The page that `report` wrote."""
 
     page: Path
-    pictures: tuple[Path, ...]
     verdict: str | None
     """The word of the verdict; None: the flight cannot be judged."""
     problem: str
@@ -45,8 +44,6 @@ def report(
     *,
     other: Flight | str | Path | None = None,
     options: ReadOptions = AS_RECORDED,
-    pictures: bool = True,
-    progress: bool | None = None,
 ) -> Report:
     """Write the page of a recorded flight, as `ptnsbc report`; it works offline.
 
@@ -55,7 +52,6 @@ def report(
         folder: for the page; by default BAG-report beside the bag, of a flight without one SCENARIO-report here.
         other: another flight, whose curves are shown dotted.
         options: how to read a bag that another program wrote; a `Flight` is read already.
-        pictures: write the figures as PNG beside the page.
 
     Raises:
         BagError: a bag cannot be read; nothing is written.
@@ -71,12 +67,8 @@ def report(
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")
-    drawn = [
-        draw.save(figure, target / f"{key}.png")
-        for key, figure in figures(shown, CHARTS if pictures else (), progress)
-    ]
     word = None if shown.verdict is None else shown.verdict.verdict
-    return Report(page, tuple(drawn), word, shown.problem)
+    return Report(page, word, shown.problem)
 
 
 def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
@@ -86,13 +78,10 @@ def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
 
 
 def figures(
-    shown: FlightView,
-    keys: Collection[str],
-    progress: bool | None = True,
-    columns: str | None = None,
+    shown: FlightView, keys: Collection[str], columns: str | None = None
 ) -> Iterator[tuple[str, Any]]:
     """The Matplotlib figures of these names for which data is recorded, see `draw.figure_of`."""
-    with console.progress("drawing", progress and bool(keys)) as advance:
+    with console.progress("drawing") as advance:
         for done, key in enumerate(keys, start=1):
             chart = shown.chart(key)
             if chart is not None:

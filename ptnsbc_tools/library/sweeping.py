@@ -27,6 +27,7 @@ from ptnsbc_tools.limits import MOST_RUNS, refuse_outside
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
+from ptnsbc_tools.tables import Summary
 
 _MOMENT_S = 0.05
 
@@ -56,6 +57,11 @@ class Sweep:
     def units(self) -> dict[str, str]:
         """The unit of each column; empty for words and numbers without one."""
         return {name: unit for name, _, unit in columns_of(self.plan) if name in self.columns}
+
+    @property
+    def summary(self) -> Summary:
+        """The shares of flights and UAVs that met and were in place, with their Wilson intervals."""
+        return summary.summary_of(self.flown)
 
     def __getitem__(self, name: str) -> Column:
         """A column (R,) by its name."""
@@ -218,36 +224,49 @@ def open_sweep(folder: str | Path, *, strict: bool = False) -> Sweep:
 
 
 def compare(
-    a: Sweep | Flight, b: Sweep | Flight, *, margin_m: float = 0.001, seed: int = 0
+    a: Sweep | Flight,
+    *others: Sweep | Flight,
+    names: Sequence[str] = "BCDEFGHIJKLMNOPQRSTUVWXYZ",
+    margin_m: float = 0.001,
+    seed: int = 0,
 ) -> SweepComparison:
-    """Compare A with B: the share that was met and the errors, paired by draw, with intervals.
+    """Compare others with A: the share that was met and the errors, paired by draw, with intervals.
+
+    With several of them the intervals hold together (Bonferroni), and the p values are corrected by Holm's method.
 
     Args:
         a: a sweep, or a flight.
-        b: another one of the same draws, or another flight.
+        others: other ones of the same draws, or other flights.
+        names: of the others.
         margin_m: an error that grew by less is not worse.
         seed: of the bootstrap.
 
     Raises:
         ComparisonError: the sweeps draw differently, a flight beside a sweep, or a bag that lacks a UAV.
     """
-    return comparison.compare(*compared(a, b), margin_m=margin_m, seed=seed)
+    if not 0 < len(others) <= len(set(names)):
+        raise comparison.ComparisonError(
+            f"{len(others)} others: expected one or more, with as many names"
+        )
+    for one in others:
+        _refuse_unlike(a, one)
+    tables = {name: _table_of(one) for name, one in zip(names, others, strict=False)}
+    return comparison.compare(_table_of(a), tables, margin_m=margin_m, seed=seed)
 
 
-def compared(a: Sweep | Flight, b: Sweep | Flight) -> tuple[FlightTable, FlightTable]:
-    """The tables that a comparison compares; ComparisonError as `compare`."""
+def _refuse_unlike(a: Sweep | Flight, b: Sweep | Flight) -> None:
     if isinstance(a, Sweep) and isinstance(b, Sweep):
         comparison.same_draws(a.plan, b.plan)
-        return a.flown.table, b.flown.table
-    if not isinstance(a, Flight) or not isinstance(b, Flight):
-        raise comparison.ComparisonError(
-            "a sweep and a flight: expected two sweeps, or two flights"
-        )
-    for flight in (a, b):
-        lacking = [uav for uav in flight.uavs if uav not in flight.recording.counters]
-        if lacking:
+    elif not isinstance(a, Flight) or not isinstance(b, Flight):
+        raise comparison.ComparisonError("a sweep and a flight: expected sweeps, or flights")
+
+
+def _table_of(one: Sweep | Flight) -> FlightTable:
+    if isinstance(one, Sweep):
+        return one.flown.table
+    for uav in one.uavs:
+        if uav not in one.recording.counters:
             raise comparison.ComparisonError(
-                f"{flight.bag or flight.scenario.name}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
+                f"{one.bag or one.scenario.name}: /diagnostics lacks UAV {uav}: expected a whole flight"
             )
-    first, second = (table_of(rows_of(0, of.scenario, of.recording)) for of in (a, b))
-    return first, second
+    return table_of(rows_of(0, one.scenario, one.recording))

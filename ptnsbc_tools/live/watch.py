@@ -109,7 +109,7 @@ def show_end(feed: Feed, last: dict[str, Any], *, reported: bool) -> None:
     """Show `verdict` and `line` of a flight that is over and, if `reported`, the report of `bag`; is it `kept`?"""
     feed.tell("end", verdict=last["verdict"], line=last["line"])
     if reported:
-        page = report(last["bag"], pictures=False, progress=False).page
+        page = report(last["bag"]).page
         path = str(page.resolve()) if last["kept"] else ""
         feed.tell("report", page=page.read_text("utf-8"), path=path)
 

@@ -11,7 +11,6 @@ import gzip
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -41,7 +40,7 @@ from ptnsbc_tools.plotting.charts import (
     thinned,
     timeline,
 )
-from ptnsbc_tools.tables import deadline_table, reasons, verdict_sentence, verdict_tables
+from ptnsbc_tools.tables import reasons, verdict_sentence, verdict_summary, verdict_tables
 
 _FRAME_HZ = 25  # the script interpolates between frames
 _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
@@ -259,7 +258,7 @@ def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None 
             if len(verdict.legs) > 1:
                 begin_s = leg.epoch_s - verdict.epoch_s
                 title = f"Leg {leg.number}, from {begin_s:.2f} s: {leg.verdict}"
-            deadlines += html_table(deadline_table(replace(verdict, uavs=leg.uavs)), title)
+            deadlines += html_table(verdict_summary(verdict, leg.uavs).table(), title)
         tables = "".join(html_table(table) for table in others)
     recorded = "\n".join(f"{key}: {value}" for key, value in sorted(about.items()))
     details = {"Recorded with": recorded, "Scenario": flight.scenario.text}

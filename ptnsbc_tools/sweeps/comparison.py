@@ -1,33 +1,32 @@
-"""Two sweeps, or two flights, side by side: differences paired by draw, each with its interval."""
+"""Sweeps, or flights, beside a first one: differences paired by draw, each with its interval."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import operator
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
-from rich.text import Text
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.verdict.deadline import KEPT
+from ptnsbc_sim.verdict.verdict import plain
 from ptnsbc_tools.sweeps.summary import (
     DISTANCES,
     ERRORS,
     FlightTable,
-    Share,
-    new_table,
-    number,
     share_of,
 )
+from ptnsbc_tools.tables import Summary
 
 LEVEL = 0.05
-_NORMAL = 1.959963984540054  # of the standard normal distribution, 97.5 %
 _RESAMPLES = 2000
+_HEADS = ("", "pairs", "A", "B", "B - A", "low", "high", "p", "of B")
 
 _DECIDING = "largest_after_all_m"
 
@@ -37,53 +36,84 @@ class ComparisonError(PtnsbcError):
 
 
 @dataclass(frozen=True)
-class MetDifference:
-    """The shares of flights that met the deadline, in A and in B, over the same draws."""
-
-    a: Share
-    b: Share
-    only_a: int  # met in A and not in B
-    only_b: int
-    p: float  # McNemar, exact, two-sided
-    low: float  # of the difference of the shares, B - A, 95 %
-    high: float
-
-    @property
-    def worse(self) -> bool:
-        """True if B meets less often, and that is no chance at 5 %."""
-        return self.only_a > self.only_b and self.p < LEVEL
-
-
-@dataclass(frozen=True)
-class FigureDifference:
-    """The median of B - A over the draws that have the figure in both."""
+class PairedFigure:
+    """A figure in A and in B, over the pairs that have it in both: a share, or the median of flights."""
 
     name: str
     label: str
     pairs: int
-    a: float  # median [m]
+    a: float
     b: float
-    difference: float
-    low: float  # of the difference, 95 %
-    high: float
+    difference: float  # B - A; of medians the median difference
+    low: float = math.nan  # of the difference; NaN of UAVs and of one flight
+    high: float = math.nan
+    p: float = math.nan  # of a share, McNemar, exact, two-sided; of several comparisons by Holm
+    only_a: int = 0  # pairs that met in A and not in B
+    only_b: int = 0
 
 
 @dataclass(frozen=True)
-class SweepComparison:
-    """B beside A."""
+class Compared:
+    """One sweep or flight, B, beside A."""
 
+    name: str
     draws: int
-    flights: MetDifference
-    uavs: MetDifference
-    in_place: MetDifference  # the UAVs that were at the deadline, whatever excuses the others
-    figures: tuple[FigureDifference, ...]
+    differences: tuple[PairedFigure, ...]
     margin_m: float
-    reasons: tuple[str, ...]  # why B is worse
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons why it is worse; empty when it is not."""
+        found = {one.name: one for one in self.differences}
+        flights, lost, largest = found["flights"], found["uavs"].only_a, found.get(_DECIDING)
+        if self.draws == 1:
+            return (f"{lost} UAVs met the deadline in A and not in {self.name}",) if lost else ()
+        reasons = []
+        if flights.only_a > flights.only_b and flights.p < LEVEL:
+            reasons.append(f"{self.name} meets the deadline in fewer flights (p = {flights.p:.2g})")
+        if largest is not None and largest.low > self.margin_m:
+            reasons.append(f"{largest.label} is larger by {largest.difference:.4g} in the median")
+        return tuple(reasons)
+
+    def __str__(self) -> str:
+        if self.reasons:
+            return f"{self.name} is worse: {'; '.join(self.reasons)}"
+        alone = ": no UAV that met in A fails in it; one flight each has no interval"
+        return f"{self.name} is not worse{alone if self.draws == 1 else ' at 5 %'}"
+
+
+@dataclass(frozen=True, repr=False)
+class SweepComparison:
+    """Sweeps or flights beside A; `print` shows their differences."""
+
+    others: tuple[Compared, ...]
 
     @property
     def worse(self) -> bool:
-        """True if B is worse."""
-        return bool(self.reasons)
+        """True if one of them is worse."""
+        return any(one.reasons for one in self.others)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons why others are worse; empty when none is."""
+        return tuple(reason for one in self.others for reason in one.reasons)
+
+    @property
+    def summary(self) -> Summary:
+        """The shares that were met and the medians of errors and distances, and their differences."""
+        values = operator.attrgetter("label", "pairs", "a", "b", "difference", "low", "high", "p")
+        rows = (
+            dict(zip(_HEADS, (*values(one), beside.name), strict=True))
+            for beside in self.others
+            for one in beside.differences
+        )
+        return Summary(f"Shares met, and medians; {self.others[0].draws} draws in both", (*rows,))
+
+    def __str__(self) -> str:
+        return f"{self.summary}\n{self!r}"
+
+    def __repr__(self) -> str:
+        return "\n".join(map(str, self.others))
 
 
 def same_draws(a: SweepPlan, b: SweepPlan) -> None:
@@ -99,17 +129,22 @@ def same_draws(a: SweepPlan, b: SweepPlan) -> None:
         )
 
 
-def met_difference(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> MetDifference:
-    """Met in A (n,) and in B (n,); the interval is that of Agresti and Min for pairs."""
-    from scipy.stats import binomtest
+def met_difference(
+    name: str, label: str, a: NDArray[np.bool_], b: NDArray[np.bool_], level: float = math.nan
+) -> PairedFigure:
+    """Met in A (n,) and in B (n,); the interval is that of Agresti and Min for pairs, NaN without a level."""
+    from scipy.stats import binomtest, norm
 
     only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
     p = float(binomtest(only_b, only_a + only_b).pvalue) if only_a + only_b else 1.0  # McNemar
     more, n = only_b - only_a, len(a) + 2  # half a pair is added to each of the four counts
-    spread = math.sqrt(only_a + only_b + 1 - more**2 / n) / n
-    low, high = more / n - _NORMAL * spread, more / n + _NORMAL * spread
-    shares = share_of(a), share_of(b)
-    return MetDifference(*shares, only_a, only_b, p, max(low, -1.0), min(high, 1.0))
+    reach = norm.isf(0.5 * level) * math.sqrt(only_a + only_b + 1 - more**2 / n) / n
+    met_a, met_b = share_of(a).value, share_of(b).value
+    low, high = np.clip([more / n - reach, more / n + reach], -1.0, 1.0)
+    shares = np.array([met_a, met_b, met_b - met_a, low, high])
+    first, second, change, low, high = (100.0 * shares).tolist()
+    p = p if level > 0.0 else math.nan
+    return PairedFigure(name, label, len(a), first, second, change, low, high, p, only_a, only_b)
 
 
 def _median(values: Array, axis: int = -1) -> Any:
@@ -119,9 +154,9 @@ def _median(values: Array, axis: int = -1) -> Any:
 
 
 def median_difference(
-    name: str, label: str, a: Array, b: Array, seed: int
-) -> FigureDifference | None:
-    """The median of B - A, its interval from a bootstrap over the draws; None without pairs."""
+    name: str, label: str, a: Array, b: Array, seed: int, level: float = LEVEL
+) -> PairedFigure | None:
+    """The median of B - A, its interval from a bootstrap over the draws, NaN of one; None without pairs."""
     both = ~(np.isnan(a) | np.isnan(b))
     if not both.any():
         return None
@@ -132,9 +167,11 @@ def median_difference(
     medians = [
         _median(change[rng.integers(len(change), size=len(change))]) for _ in range(_RESAMPLES)
     ]
-    low, high = np.sort(medians)[[int(0.025 * _RESAMPLES), int(0.975 * _RESAMPLES)]]
-    found = (_median(a), _median(b), _median(change), low, high)
-    return FigureDifference(name, label, len(change), *(float(value) for value in found))
+    ends = 0.5 * level, 1.0 - 0.5 * level
+    low, high = np.sort(medians)[[int(end * _RESAMPLES) for end in ends]].tolist()
+    of_a, of_b, middle = (float(_median(values)) for values in (a, b, change))
+    interval = (low, high) if len(change) > 1 else (math.nan, math.nan)
+    return PairedFigure(name, label, len(change), of_a, of_b, middle, *interval)
 
 
 def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
@@ -157,77 +194,63 @@ def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
     return first, second
 
 
-def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -> SweepComparison:
-    """Compare the flights that both have; an error that grew by less than the margin is not worse."""
-    a, b = in_both(a, b)
-    flights = met_difference(a.flights.met, b.flights.met)
-    uavs = met_difference(np.isin(a["verdict"], KEPT), np.isin(b["verdict"], KEPT))
+def compare(
+    a: FlightTable,
+    others: Mapping[str, FlightTable],
+    *,
+    margin_m: float,
+    seed: int = 0,
+) -> SweepComparison:
+    """Compare each of the others with A; an error that grew by less than the margin is not worse.
+
+    With several of them the intervals hold together (Bonferroni), and the p values are those of Holm.
+    """
+    found = [
+        _beside(name, *in_both(a, b), margin_m, seed, LEVEL / len(others))
+        for name, b in others.items()
+    ]
+    corrected = holm([one.differences[0].p for one in found])
+    return SweepComparison(
+        tuple(
+            replace(one, differences=(replace(one.differences[0], p=p), *one.differences[1:]))
+            for one, p in zip(found, corrected, strict=True)
+        )
+    )
+
+
+def _beside(
+    name: str, a: FlightTable, b: FlightTable, margin_m: float, seed: int, level: float
+) -> Compared:
+    draws = len(a.flights.draw)
     there = [of["in_place"].tolist() for of in (a, b)]  # None: not expected at the deadline
     expected = [pair for pair in zip(*there, strict=True) if None not in pair]
-    in_place = met_difference(*np.array(expected, dtype=np.bool_).reshape(-1, 2).T)
-    differences = (
-        median_difference(name, label, a.of_flights(name), b.of_flights(name), seed)
-        for label, name in (*ERRORS, *DISTANCES)
-    )
-    figures = tuple(difference for difference in differences if difference is not None)
-    alone = len(a.flights.draw) == 1
-    reasons = []
-    if alone and uavs.only_a:
-        reasons.append(f"{uavs.only_a} UAVs met the deadline in A and not in B")
-    if not alone and flights.worse:
-        reasons.append(f"B meets the deadline in fewer flights (p = {flights.p:.2g})")
-    for one in figures:
-        if not alone and one.name == _DECIDING and one.low > margin_m:
-            reasons.append(f"{one.label} is larger by {one.difference:.4g} m in the median")
-    draws, met = len(a.flights.draw), (flights, uavs, in_place)
-    return SweepComparison(draws, *met, figures, margin_m, tuple(reasons))
-
-
-def tables(found: SweepComparison) -> list[Table]:
-    """The comparison as tables."""
-    heads = ("", "A", "B", "only A", "only B", "B - A", "95 % interval", "p")
-    met = new_table(f"Deadline met, draws in both: {found.draws}", heads)
-    rows = {"flights": found.flights, "UAVs": found.uavs, "UAVs in place then": found.in_place}
-    for name, one in rows.items():
-        # UAVs of one flight are not independent: no interval
-        p = f"{one.p:.3g}" if name == "flights" and found.draws > 1 else "-"
-        more = f"{100 * (one.b.value - one.a.value):+.1f} %"
-        interval = f"{100 * one.low:+.1f} to {100 * one.high:+.1f} %" if p != "-" else "-"
-        counts = (f"{one.a.count} of {one.a.of}", f"{one.b.count} of {one.b.of}")
-        met.add_row(name, *counts, str(one.only_a), str(one.only_b), more, interval, p)
-    columns = ("each flight", "pairs", "A m", "B m", "B - A m", "95 % interval")
-    medians = new_table("Medians, and the median difference", columns)
-    for figure in found.figures:
-        values = (f"{figure.a:.4g}", f"{figure.b:.4g}", f"{figure.difference:+.4g}")
-        interval = f"{figure.low:+.4g} to {figure.high:+.4g}" if found.draws > 1 else "-"
-        medians.add_row(figure.label, str(figure.pairs), *values, interval)
-    return [met, medians]
-
-
-def line(found: SweepComparison) -> Text:
-    """The comparison in a sentence."""
-    if found.worse:
-        return Text.assemble(("B is worse", "bold red"), f": {'; '.join(found.reasons)}")
-    if found.draws == 1:
-        return Text(
-            "B is not worse: no UAV that met in A fails in B; one flight each has no interval"
-        )
-    return Text("B is not worse at 5 %")
-
-
-def as_json(found: SweepComparison) -> dict[str, Any]:
-    """The comparison as plain data; UAVs of one flight are not independent: they have no test."""
-    flights, uavs, in_place = (
-        {**vars(of), "a": of.a.as_json(), "b": of.b.as_json()}
-        for of in (found.flights, found.uavs, found.in_place)
-    )
-    figures = [
-        {key: number(of) if isinstance(of, float) else of for key, of in vars(figure).items()}
-        for figure in found.figures
+    in_place = np.array(expected, dtype=np.bool_).reshape(-1, 2).T
+    kept_a, kept_b = (np.isin(of["verdict"], KEPT) for of in (a, b))
+    # UAVs of one flight are not independent, and one flight has no interval.
+    several = level if draws > 1 else math.nan
+    found = [
+        met_difference("flights", "flights met [%]", a.flights.met, b.flights.met, several),
+        met_difference("uavs", "UAVs met [%]", kept_a, kept_b),
+        met_difference("in_place", "UAVs in place [%]", in_place[0], in_place[1]),
+        *(
+            median_difference(
+                key, f"{label} [m]", a.of_flights(key), b.of_flights(key), seed, level
+            )
+            for label, key in (*ERRORS, *DISTANCES)
+        ),
     ]
-    of_uavs, there = (
-        {key: of[key] for key in ("a", "b", "only_a", "only_b")} for of in (uavs, in_place)
-    )
-    about = {"draws": found.draws, "worse": found.worse, "reasons": list(found.reasons)}
-    both = {"flights": flights, "uavs": of_uavs, "in_place": there, "figures": figures}
-    return {**about, "margin_m": found.margin_m, **both}
+    return Compared(name, draws, tuple(one for one in found if one is not None), margin_m)
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """The p values (n,) of n comparisons, corrected by Holm's method."""
+    order = np.argsort(p)
+    steps = np.sort(p) * np.arange(len(p), 0, -1)
+    corrected = np.empty(len(p))
+    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
+    return corrected.tolist()
+
+
+def as_json(found: Compared) -> dict[str, Any]:
+    """A comparison as plain data."""
+    return plain({**asdict(found), "worse": bool(found.reasons), "reasons": found.reasons})

@@ -26,7 +26,7 @@ from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE, read_table
 from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
 from ptnsbc_tools import console
-from ptnsbc_tools.tables import length, word
+from ptnsbc_tools.tables import Summary, length, new_table, word
 
 WIDE = 0.2
 """An interval wider than this is called wide."""
@@ -299,18 +299,6 @@ class WorstFlight:
     command: str
 
 
-_WORDS = ("", "cause", "unit", "all UAVs", "each flight", "95 % interval")
-"""Headings of the columns that hold no numbers."""
-
-
-def new_table(title: str, heads: tuple[str, ...], words: tuple[str, ...] = _WORDS) -> Table:
-    """A table without rows; all columns but `words` are numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for head in heads:
-        table.add_column(head, justify="left" if head in words else "right", overflow="fold")
-    return table
-
-
 def number(value: Any) -> float | None:
     """A finite number, else None: JSON has no others."""
     return float(value) if np.isfinite(value) else None
@@ -485,16 +473,29 @@ def _digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.2e}"
 
 
-def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
-    """All tables, or those of the first screen, in the order in which they are read, without the empty ones."""
-    counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
+def _named_shares(sweep: FlownSweep) -> dict[str, Share]:
     names = (
         *("flights met", "flights in place at the deadline"),
         *("UAVs met", "UAVs in place at the deadline", "UAVs met late"),
         *("flights inside a keep-out", "flights with a deadlock"),
     )
-    shown = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
-    for name, one in shown.items():
+    return dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
+
+
+def summary_of(sweep: FlownSweep) -> Summary:
+    """The shares of a sweep, with their Wilson intervals."""
+    heads = ("", "count", "of", "share [%]", "low", "high")
+    rows = (
+        (name, one.count, one.of, *(100.0 * share for share in (one.value, one.low, one.high)))
+        for name, one in _named_shares(sweep).items()
+    )
+    return Summary(title(sweep), tuple(dict(zip(heads, row, strict=True)) for row in rows))
+
+
+def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
+    """All tables, or those of the first screen, in the order in which they are read, without the empty ones."""
+    counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
+    for name, one in _named_shares(sweep).items():
         counts.add_row(name, *_share_cells(one), "wide: fly more" if one.wide else "")
     why = new_table("Why UAVs are late or not met", ("", "UAVs", "cause"))
     for verdict, cause, count in causes(sweep):

@@ -1,20 +1,18 @@
-"""The figures of a sweep, and its page and that of a comparison: one HTML file each that works offline."""
+"""The figures of a sweep, and its page: one HTML file that works offline."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import combinations
 from pathlib import Path
 from string import Template
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from ptnsbc_core.types import Array
 from ptnsbc_io.files import replacing
@@ -22,9 +20,8 @@ from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_tools.plotting.charts import COLOURS, GOOD, OBSTACLE
 from ptnsbc_tools.plotting.draw import blank_figure, save
 from ptnsbc_tools.report.page import asset, html_table
-from ptnsbc_tools.sweeps import comparison, summary
-from ptnsbc_tools.sweeps.comparison import SweepComparison, in_both
-from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, share_of
+from ptnsbc_tools.sweeps import summary
+from ptnsbc_tools.sweeps.summary import Column, FlownSweep, Share, share_of
 
 _MOST_BINS = 8
 _LEAST_IN_BIN = 10
@@ -176,23 +173,6 @@ def _distributions(sweep: FlownSweep) -> Any:
     return figure
 
 
-def paired(label: str, name: str, a: FlightTable, b: FlightTable) -> Any:
-    """One error of every flight, in A and in B: below the diagonal B is better."""
-    a, b = in_both(a, b)
-    both = np.stack([a.of_flights(name), b.of_flights(name)])
-    shown = np.isfinite(both).all(axis=0) & (both > 0.0).all(axis=0)
-    figure = blank_figure(_SIZE_IN)
-    axes = figure.add_subplot()
-    if shown.any():
-        ends = both[:, shown].min(), both[:, shown].max()
-        axes.loglog(ends, ends, color=OBSTACLE, linewidth=1.0)
-        axes.loglog(*both[:, shown], "o", color=COLOURS[0], markersize=3, alpha=0.6)
-    axes.set(xlabel=f"A: {label} [m]", ylabel=f"B: {label} [m]")
-    axes.set_title(f"{int(shown.sum())} of {both.shape[1]} draws have it in both", fontsize=9)
-    axes.grid(alpha=0.3)
-    return figure
-
-
 def figures(sweep: FlownSweep) -> Iterator[tuple[str, str, Any]]:
     """All figures of a sweep that has flights: name of the file, caption, figure."""
     for number, axis in enumerate(drawn_axes(sweep), start=1):
@@ -219,19 +199,6 @@ def _picture(caption: str, path: Path) -> str:
     )
 
 
-def _write(path: Path, more: str, tables: Iterable[Table], **words: str) -> Path:
-    text = Template(asset("sweep.html")).substitute(
-        {key: escape(value) for key, value in words.items()},
-        kicker=words["command"].capitalize(),
-        style=asset("style.css"),
-        tables="\n".join(html_table(table) for table in tables),
-        more=more,
-    )
-    with replacing(path, folder=True) as part:
-        part.write_text(text, encoding="utf-8")
-    return path
-
-
 def write_report(sweep: FlownSweep) -> Path:
     """Write the page and the figures into `report/` of the sweep's folder; returns the page."""
     folder = sweep.folder / FOLDER
@@ -245,27 +212,17 @@ def write_report(sweep: FlownSweep) -> Path:
         + "\n".join(pictures)
         + f"\n<details><summary>Plan</summary><pre>{escape(sweep.plan.to_json())}</pre></details>"
     )
-    words = {"command": "sweep", "name": sweep.plan.name, "heading": summary.title(sweep)}
-    line = summary.line(sweep).plain
-    return _write(folder / "index.html", more, summary.tables(sweep), line=line, **words)
-
-
-def write_comparison(
-    path: Path,
-    names: tuple[str, str],
-    tables: tuple[FlightTable, FlightTable],
-    found: SweepComparison,
-) -> Path:
-    """Write the page of B beside A; `names` and `tables` are theirs."""
-    pictures = []
-    with TemporaryDirectory() as folder:
-        for number, (label, column) in enumerate(summary.ERRORS):
-            file = save(paired(label, column, *tables), Path(folder) / f"{number}.png")
-            pictures.append(_picture(f"{label}, each draw in A and in B", file))
     words = {
-        "command": "compare",
-        "name": " and ".join(names),
-        "line": comparison.line(found).plain,
+        "name": sweep.plan.name,
+        "heading": summary.title(sweep),
+        "line": summary.line(sweep).plain,
     }
-    heading = f"A is {names[0]}, B is {names[1]}. Draws are paired."
-    return _write(path, "\n".join(pictures), comparison.tables(found), heading=heading, **words)
+    page = Template(asset("sweep.html")).substitute(
+        {key: escape(value) for key, value in words.items()},
+        style=asset("style.css"),
+        tables="\n".join(html_table(table) for table in summary.tables(sweep)),
+        more=more,
+    )
+    with replacing(folder / "index.html", folder=True) as part:
+        part.write_text(page, encoding="utf-8")
+    return folder / "index.html"

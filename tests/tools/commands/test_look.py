@@ -26,20 +26,17 @@ def run(*words: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, "".join(one for one in lines if "error" in one)
 
 
-@pytest.mark.slow
-def test_a_page_and_pictures(tmp_path: Path) -> None:
+def test_a_page_and_nothing_else(tmp_path: Path) -> None:
     code, out, _ = run("report", SAMPLE, "-o", tmp_path / "out", "--json")
     told = json.loads(out)
     assert (code, told["verdict"], told["problem"]) == (0, "met", None)
     assert Path(told["report"]) == tmp_path / "out" / "index.html"
-    pictures = {Path(one).name for one in told["pictures"]}
-    assert {"errors.png", "force.png", "between.png", "estimator.png"} <= pictures
-    assert {one.name for one in (tmp_path / "out").iterdir()} == {"index.html", *pictures}
+    assert [one.name for one in (tmp_path / "out").iterdir()] == ["index.html"]
 
 
 @pytest.mark.slow
 def test_another_flight_beside_it_and_a_pdf_of_all_figures(tmp_path: Path) -> None:
-    code, out, _ = run("report", SAMPLE, "--with", SAMPLE, "-o", tmp_path / "two", "--no-pictures")
+    code, out, _ = run("report", SAMPLE, "--with", SAMPLE, "-o", tmp_path / "two")
     assert code == 0 and Path(out.strip()).is_file()
     for name in ("a.pdf", "b.pdf"):
         code, out, _ = run("plot", SAMPLE, "-o", tmp_path / name)
@@ -52,7 +49,7 @@ def test_another_flight_beside_it_and_a_pdf_of_all_figures(tmp_path: Path) -> No
 
 def test_the_same_bag_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        code, out, _ = run("report", SAMPLE, "-o", tmp_path / name, "--no-pictures")
+        code, out, _ = run("report", SAMPLE, "-o", tmp_path / name)
         assert (code, out) == (0, f"{tmp_path / name / 'index.html'}\n")
     first, second = ((tmp_path / name / "index.html").read_bytes() for name in ("a", "b"))
     assert first == second
@@ -80,7 +77,7 @@ def test_a_bag_that_cannot_be_read_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_a_flight_that_cannot_be_judged_has_a_page_that_says_why(tmp_path: Path) -> None:
-    words = ("report", SAMPLE, "-o", tmp_path, "--no-pictures", "--epoch", "1000", "--json")
+    words = ("report", SAMPLE, "-o", tmp_path, "--epoch", "1000", "--json")
     code, out, _ = run(*words)
     told = json.loads(out)
     assert (code, told["verdict"]) == (1, None)
@@ -127,7 +124,6 @@ def test_a_bag_of_others(fly, tmp_path: Path) -> None:
     words = ("--scenario", tmp_path / "flight.yaml", "--odom", "/drone{n}/odom", "--json")
     code, out, err = run("report", tmp_path / "bag", "-o", tmp_path / "out", *words)
     assert (code, json.loads(out)["verdict"], err) == (0, "met", "")
-    assert {Path(one).stem for one in json.loads(out)["pictures"]} == {"errors", "between"}
 
 
 def test_plot_of_some_and_of_one(tmp_path: Path) -> None:

@@ -120,6 +120,13 @@ def test_pandas_has_a_row_for_each_instant_and_uav(flight: Flight) -> None:
     assert frame.attrs["units"]["velocity_m_s.x"] == "m/s"
 
 
+def test_the_summary_is_that_of_the_verdict(flight: Flight) -> None:
+    rows = flight.summary.rows
+    assert [row["UAV"] for row in rows] == list(flight.uavs)
+    assert [row["start m"] for row in rows] == [of.start_error_m for of in flight.verdict.uavs]
+    assert str(flight.verdict) == "<Verdict on paper_5: void, 0 of 5 in place at the deadline>"
+
+
 def test_xarray_has_the_axes_and_the_units(flight: Flight) -> None:
     pytest.importorskip("xarray")
     found = flight.to_xarray()

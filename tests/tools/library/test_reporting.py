@@ -81,8 +81,8 @@ def test_the_export_of_a_flight_imports_no_library_that_it_does_not_need(tmp_pat
 
 
 def test_a_report_names_its_page_and_the_verdict(tmp_path: Path) -> None:
-    made = ptnsbc.report(SAMPLE, tmp_path / "page", pictures=False, progress=False)
-    assert (made.page, made.pictures) == (tmp_path / "page" / "index.html", ())
+    made = ptnsbc.report(SAMPLE, tmp_path / "page")
+    assert made.page == tmp_path / "page" / "index.html"
     assert made.page.stat().st_size > 100_000
     assert (made.verdict, made.problem) == (ptnsbc.read_bag(SAMPLE).verdict.verdict, "")
 
@@ -95,9 +95,8 @@ def test_a_bag_that_is_not_there_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_flight_has_the_page_of_its_bag(tmp_path: Path) -> None:
     flight = ptnsbc.read_bag(SAMPLE)
-    quiet = {"pictures": False, "progress": False}
-    made = ptnsbc.report(flight, tmp_path / "flight", other=flight, **quiet)
-    read = ptnsbc.report(SAMPLE, tmp_path / "bag", other=SAMPLE, **quiet)
+    made = ptnsbc.report(flight, tmp_path / "flight", other=flight)
+    read = ptnsbc.report(SAMPLE, tmp_path / "bag", other=SAMPLE)
     assert made.page.read_bytes() == read.page.read_bytes()
 
 
@@ -106,6 +105,6 @@ def test_a_flight_without_a_bag_has_its_page_here(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     flight = replace(ptnsbc.read_bag(SAMPLE), bag=None)
-    made = ptnsbc.report(flight, pictures=False, progress=False)
+    made = ptnsbc.report(flight)
     assert made.page == Path("paper_5_free-report", "index.html")
     assert "headless" in made.page.read_text("utf-8")

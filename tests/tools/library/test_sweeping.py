@@ -49,7 +49,12 @@ def test_sweeps_of_the_same_draws_are_compared(flown: Sweep) -> None:
     off = load("paper_5").with_(QUICK, **{"formation.avoidance": "off"})
     other = sweep(off, 2, vary=VARY, starts="near:0.2", workers=1, progress=False)
     found = compare(flown, other)
-    assert found.draws == 4
+    assert found.others[0].draws == 4
+    assert repr(compare(flown, other, flown, names=["off", "same"])).endswith(
+        "same is not worse at 5 %"
+    )
+    with pytest.raises(ComparisonError, match="2 others: expected one or more, with as many names"):
+        compare(flown, other, flown, names=["off"])
     elsewhere = sweep(off, 1, vary=VARY, starts="near:0.1", workers=1, progress=False)
     with pytest.raises(ComparisonError, match="starts"):
         compare(flown, elsewhere)
@@ -69,6 +74,13 @@ def test_pandas_has_the_table(flown: Sweep) -> None:
     assert len(frame) == 20 and frame.attrs["units"]["deadline_s"] == "s"
 
 
+def test_the_summary_has_the_shares(flown: Sweep) -> None:
+    first = flown.summary.rows[0]
+    assert (first[""], first["count"], first["of"]) == ("flights met", flown.met.count, 4)
+    assert first["low"] == pytest.approx(100 * flown.met.low)
+    assert "flights inside a keep-out" in str(flown.summary)
+
+
 def test_an_unknown_family_names_the_known_ones() -> None:
     with pytest.raises(ScenarioError, match=r"nowhere: no such family: expected one of: anywhere"):
         sweep(load("paper_5_free"), 1, family="nowhere", workers=1)
@@ -77,5 +89,5 @@ def test_an_unknown_family_names_the_known_ones() -> None:
 def test_two_flights_are_compared_and_a_flight_with_a_sweep_is_not(flown: Sweep) -> None:
     flight = read_bag("bags/sample")
     assert not compare(flight, flight).worse
-    with pytest.raises(ComparisonError, match="expected two sweeps, or two flights"):
+    with pytest.raises(ComparisonError, match="expected sweeps, or flights"):
         compare(flight, flown)
