@@ -80,7 +80,7 @@ def test_a_map_is_as_far_as_its_nearest_cell() -> None:
     ("keys", "message"),
     [
         ({"file": "none.pcd", "resolution_m": 1}, r"obstacles\[0\]\.file: .*none\.pcd: No such file or directory"),
-        ({"file": 7}, r"obstacles\[0\]\.file: 7: expected the name or path of a map"),
+        ({"file": 7}, r"obstacles\[0\]\.file: 7: expected the name or path of a file"),
         ({"file": "a.csv", "resolution_m": 0}, r"\[0\]\.resolution_m: 0: expected a number from"),
         ({"file": "a.csv", "resolution_m": None}, r"\[0\]\.resolution_m: None: expected a number"),
         ({"file": "a.csv", "resolution_m": 1e-3}, r"resolution_m: 0\.001: expected a number from 0\.01"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from itertools import pairwise
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 from zipfile import ZipFile
 
 import numpy as np
@@ -34,7 +34,6 @@ _OTHERS = {17: "loiter", 18: "loiter", 19: "loiter", 20: "return", 21: "land", 1
 
 _Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Point = tuple[FiniteFloat, _Place, Annotated[list[_Place], Field(max_length=6)]]
-_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class _Item(BaseModel):
@@ -115,7 +114,7 @@ def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None)
     return rows if rate_hz is None else np.column_stack([np.arange(len(rows)) / rate_hz, rows])
 
 
-def _read(model: type[_Model], data: str | bytes) -> _Model:
+def _read(model: type[BaseModel], data: str | bytes) -> Any:
     try:
         return model.model_validate_json(data)
     except ValidationError as error:

@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 from ptnsbc_io.point_cloud_file import PointCloudFileError
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, map_text
 from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
-from ptnsbc_sim.scenario.fields import MOST_SAMPLES, unit_of, without_unit
+from ptnsbc_sim.scenario.fields import MOST_SAMPLES, without_unit
 from ptnsbc_sim.scenario.mission.path_files import text_of, waypoints_of
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
 from ptnsbc_sim.scenario.mission.stream import setpoints_of
@@ -70,8 +70,7 @@ def _content_of(block: Tree, where: str, folder: Path) -> Tree:
     """The keys that the file of a block gives to it."""
     name, kind = block["file"], block["kind"]
     if not isinstance(name, str) or not name:
-        what = "map" if kind == "map" else "file"
-        raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a {what}")
+        raise ScenarioError(f"{where}.file: {name!r}: expected the name or path of a file")
     path = folder / Path(name).expanduser()
     try:
         with path.open("rb") as stream:
@@ -93,20 +92,14 @@ def _content_of(block: Tree, where: str, folder: Path) -> Tree:
             found = waypoints_of(text)
             return {**found, "speed_m_s": block.get("speed_m_s") or found["speed_m_s"]}
         else:
-            samples_of(text, *(_pace(block, key, where) for key in ("speed_m_s", "rate_hz")))
+            # The values are validated with the scenario: here counts which of them there is.
+            samples_of(text, block.get("speed_m_s") and 1.0, block.get("rate_hz") and 1.0)
     except OSError as error:
         why = f"{error.strerror}: expected a readable file"
         raise ScenarioError(f"{where}.file: {path}: {why}") from None
     except (PointCloudFileError, ValueError) as error:
         raise ScenarioError(f"{where}.file: {path}: {error}") from None
     return {"samples": text}
-
-
-def _pace(block: Tree, key: str, where: str) -> float | None:
-    value = block.get(key)
-    return (
-        None if value is None else _quantity(value, unit_of(key) or "", f"{where}.{key}", 1e-3, 1e3)
-    )
 
 
 GROUP = "ptnsbc.plugins"
