@@ -267,7 +267,6 @@ def table_of(rows: list[SweepRow]) -> FlightTable:
 
 
 _WORST = 5
-_WORST_FIGURES = "largest_after_m", "largest_after_all_m", "closest_uav_m"
 _MOST_CELLS = 40
 _UAV = re.compile(r"\b(uav|UAV )\d+")
 _NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -293,9 +292,7 @@ class WorstFlight:
     uav: int
     verdict: str
     cause: str
-    largest_after_m: float | None
     largest_after_all_m: float | None
-    closest_uav_m: float | None
     command: str
 
 
@@ -318,17 +315,17 @@ def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
 def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
     """The flights to look at: inside a keep-out first, then not met, late, and the largest error after tf."""
     flights, table = sweep.table.flights, sweep.table
-    figures = {name: table.of_flights(name) for name in _WORST_FIGURES}
-    errors = np.nan_to_num(figures["largest_after_all_m"], nan=-1.0, posinf=np.inf)
-    order = np.lexsort((flights.draw, -errors, _rank(flights.verdict)))[:count]
+    errors = table.of_flights("largest_after_all_m")
+    ranked = np.nan_to_num(errors, nan=-1.0, posinf=np.inf)
+    order = np.lexsort((flights.draw, -ranked, _rank(flights.verdict)))[:count]
     return [
         WorstFlight(
             draw=int(flights.draw[k]),
             uav=int(table["uav"][flights.worst[k]]),
             verdict=str(flights.verdict[k]),
             cause=str(table["cause"][flights.worst[k]]),
+            largest_after_all_m=number(errors[k]),
             command=_again(sweep, int(flights.draw[k])),
-            **{name: number(values[k]) for name, values in figures.items()},
         )
         for k in order
     ]
@@ -434,9 +431,9 @@ def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
     return found
 
 
-def _share_cells(one: Share) -> tuple[str, str, str, str]:
-    value = f"{100 * one.value:.1f} %" if one.of else "-"
-    return str(one.count), str(one.of), value, one.interval
+def _row(one: Share) -> dict[str, Any]:
+    bounds = {"low": 100.0 * one.low, "high": 100.0 * one.high}
+    return {"count": one.count, "of": one.of, "share [%]": 100.0 * one.value, **bounds}
 
 
 def title(sweep: FlownSweep) -> str:
@@ -454,49 +451,34 @@ def title(sweep: FlownSweep) -> str:
     return f"{plan.name}: {plan.draws} flights{part}, seed {plan.seed}{varied}"
 
 
-def _cells_table(sweep: FlownSweep) -> Table | None:
-    found = cells(sweep)
-    if not found:
-        return None
-    keys = [axis.key for axis in sweep.plan.grid]
-    heads = (*keys, "met", "of", "share", "95 % interval", "")
-    table = new_table("Flights of each cell of the grid", heads)
-    for values, one in found[:_MOST_CELLS]:
-        shown = (f"{of:g}" if isinstance(of, float) else str(of) for of in values.values())
-        table.add_row(*shown, *_share_cells(one), "wide" if one.wide else "")
-    if len(found) > _MOST_CELLS:
-        table.caption = f"{len(found) - _MOST_CELLS} more cells: --json, or the table"
-    return table
-
-
 def _digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.2e}"
 
 
-def _named_shares(sweep: FlownSweep) -> dict[str, Share]:
+def summary_of(sweep: FlownSweep) -> Summary:
+    """The shares of a sweep, with their Wilson intervals."""
     names = (
         *("flights met", "flights in place at the deadline"),
         *("UAVs met", "UAVs in place at the deadline", "UAVs met late"),
         *("flights inside a keep-out", "flights with a deadlock"),
     )
-    return dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
+    named = dict(zip(names, shares(sweep).values(), strict=True)) | dry_runs(sweep)
+    return Summary(title(sweep), tuple({"": name, **_row(one)} for name, one in named.items()))
 
 
-def summary_of(sweep: FlownSweep) -> Summary:
-    """The shares of a sweep, with their Wilson intervals."""
-    heads = ("", "count", "of", "share [%]", "low", "high")
-    rows = (
-        (name, one.count, one.of, *(100.0 * share for share in (one.value, one.low, one.high)))
-        for name, one in _named_shares(sweep).items()
-    )
-    return Summary(title(sweep), tuple(dict(zip(heads, row, strict=True)) for row in rows))
+def _cells_table(sweep: FlownSweep) -> Table | None:
+    found = cells(sweep)
+    if not found:
+        return None
+    rows = tuple({**values, **_row(one)} for values, one in found[:_MOST_CELLS])
+    table = Summary("Flights of each cell of the grid", rows).table()
+    if len(found) > _MOST_CELLS:
+        table.caption = f"{len(found) - _MOST_CELLS} more cells: --json, or the table"
+    return table
 
 
 def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
     """All tables, or those of the first screen, in the order in which they are read, without the empty ones."""
-    counts = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
-    for name, one in _named_shares(sweep).items():
-        counts.add_row(name, *_share_cells(one), "wide: fly more" if one.wide else "")
     why = new_table("Why UAVs are late or not met", ("", "UAVs", "cause"))
     for verdict, cause, count in causes(sweep):
         why.add_row(word(verdict), str(count), cause)
@@ -508,15 +490,8 @@ def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
         style = "bold red" if of_flight and of.values[0] < 0.0 else ""
         table = distances if of_flight else figures
         table.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values), style=style)
-    heads = ("draw", "", "UAV", "largest after m", "with excused m", "closest UAV m", "cause")
-    look_at = new_table("The flights to look at", heads)
-    for flight in worst(sweep):
-        values = (flight.largest_after_m, flight.largest_after_all_m, flight.closest_uav_m)
-        figures_shown = ["-" if value is None else _digits(value) for value in values]
-        about = str(flight.draw), word(flight.verdict), str(flight.uav)
-        look_at.add_row(*about, *figures_shown, flight.cause)
-    first = [counts, _cells_table(sweep), why]
-    every = [*first, distances] if brief else [*first, figures, distances, look_at]
+    first = [summary_of(sweep).table(), _cells_table(sweep), why]
+    every = [*first, distances] if brief else [*first, figures, distances]
     return [table for table in every if table is not None and (table.row_count or table is figures)]
 
 

@@ -26,6 +26,7 @@ from ptnsbc_tools.sweeps.summary import Column, FlownSweep, Share, share_of
 _MOST_BINS = 8
 _LEAST_IN_BIN = 10
 _MOST_MAPS = 3
+_LOOKED_AT = 5
 _FEW = 12  # so many different values are shown one by one
 _HISTOGRAM_BINS = 40
 _SIZE_IN = (6.4, 4.0)
@@ -206,9 +207,9 @@ def write_report(sweep: FlownSweep) -> Path:
         _picture(caption, save(figure, folder / f"{name}.png"))
         for name, caption, figure in figures(sweep)
     ]
-    commands = "\n".join(one.command for one in summary.worst(sweep))
+    again = "\n".join(summary.look_first(sweep, _LOOKED_AT))
     more = (
-        f"<p>These commands fly them again:</p>\n<pre>{escape(commands)}</pre>\n"
+        f"<p>The flights to look at, and the commands that fly them again:</p>\n<pre>{escape(again)}</pre>\n"
         + "\n".join(pictures)
         + f"\n<details><summary>Plan</summary><pre>{escape(sweep.plan.to_json())}</pre></details>"
     )
