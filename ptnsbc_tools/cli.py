@@ -72,14 +72,6 @@ def functions(names: Iterable[str] = _PLACES) -> Iterator[tuple[str, Callable[..
                 yield f"{name} {inner.name or inner.callback.__name__}", inner.callback
 
 
-def every_command() -> Any:
-    """The group of all commands, each of them loaded."""
-    group = get_command(app)
-    for name in _PLACES:
-        group.get_command(None, name)  # type: ignore[attr-defined]
-    return group
-
-
 class _Commands(TyperGroup):
     """Loads the module of a command with its first use, and prints our errors as one line on stderr."""
 

@@ -87,7 +87,7 @@ def test_hidden_markers_send_nothing(broken: tuple[float, ...] | None) -> None:
 
 
 def test_the_unit_starts_what_the_program_has() -> None:
-    from ptnsbc_tools.cli import every_command
+    from tests.support.commands import every_command
 
     text = (HARDWARE / "systemd" / "ptnsbc-uav@.service").read_text("utf-8")
     (line,) = [one for one in text.splitlines() if one.startswith("ExecStart=")]

@@ -112,7 +112,6 @@ def plot(
     from mimetypes import guess_type
 
     from ptnsbc_tools.library.flight import flight_in
-    from ptnsbc_tools.library.reporting import figures
     from ptnsbc_tools.plotting import draw
 
     keys, kind = _keys(what), "" if out is None else out.suffix.lower()
@@ -128,15 +127,18 @@ def plot(
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or bag.parent / f"{shown.name}-figures"
-    with draw.sized(width):
-        drawn = figures(shown, keys, width)
-        if kind == ".pdf":
-            written = draw.save_pages([figure for _, figure in drawn], folder)
-        else:
-            written = [
-                draw.save(figure, folder if one else folder / f"{key}.{form}")
-                for key, figure in drawn
-            ]
+    pages, written = [], []
+    with draw.sized(width), console.progress("drawing") as advance:
+        for done, key in enumerate(keys, start=1):
+            if chart := shown.chart(key):
+                figure = draw.figure_of(chart, shown.scenario.name, width)
+                if kind == ".pdf":
+                    pages.append(figure)
+                else:
+                    file = folder if one else folder / f"{key}.{form}"
+                    written.append(draw.save(figure, file))
+            advance(done, len(keys))
+        written += draw.save_pages(pages, folder)
     if not written:
         reason = shown.problem or "the bag has no data for it"
         raise PtnsbcError(f"nothing to draw for {', '.join(keys)}: {reason}")

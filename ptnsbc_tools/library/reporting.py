@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
 from ptnsbc_io.files import replacing
-from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, flight_in
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
-from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import FlightView
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
@@ -75,18 +73,6 @@ def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
     if isinstance(flight, Flight):
         return flight.view
     return flight_in(Path(flight), options).view
-
-
-def figures(
-    shown: FlightView, keys: Collection[str], columns: str | None = None
-) -> Iterator[tuple[str, Any]]:
-    """The Matplotlib figures of these names for which data is recorded, see `draw.figure_of`."""
-    with console.progress("drawing") as advance:
-        for done, key in enumerate(keys, start=1):
-            chart = shown.chart(key)
-            if chart is not None:
-                yield key, draw.figure_of(chart, shown.scenario.name, columns)
-            advance(done, len(keys))
 
 
 def checked(path: Path) -> Path:

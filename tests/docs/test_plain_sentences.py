@@ -15,7 +15,7 @@ import click
 import pytest
 from markdown_it import MarkdownIt
 
-from ptnsbc_tools.cli import every_command
+from tests.support.commands import every_command
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -18,7 +18,7 @@ from markdown_it import MarkdownIt
 
 from paper.command import app as paper_app
 from ptnsbc_nodes.fleet.child_process import EXECUTABLES
-from ptnsbc_tools.cli import every_command
+from tests.support.commands import every_command
 
 ROOT = Path(__file__).parents[2]
 PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import ptnsbc
-from ptnsbc_tools.cli import every_command
+from tests.support.commands import every_command
 
 PAGE = Path(__file__).parents[2] / "docs" / "library.md"
 
