@@ -118,6 +118,10 @@ def fleet(
     views: Views,
     network: NetworkOption = None,
     domain: DomainOption = None,
+    port_base: Annotated[
+        int | None,
+        option("--port-base", "Hear vehicle i, from 0, on this port + i of 127.0.0.1.", 1, 61000),
+    ] = None,
     check: Annotated[
         bool | None,
         option(
@@ -136,6 +140,11 @@ def fleet(
     """
     ros.select_network(network, domain)
     chosen = choices.of(scenario)
+    if port_base is not None:
+        ports = enumerate(chosen.uav_ids, port_base)
+        chosen = chosen.with_(
+            {f"mavlink.vehicles.{uav}.connect": f"udpin:127.0.0.1:{port}" for port, uav in ports}
+        )
     raise typer.Exit(fly_and_judge(chosen, parts, showing, check=check, views=views))
 
 

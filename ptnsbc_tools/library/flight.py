@@ -27,6 +27,8 @@ from ptnsbc_tools.reading.bag_reader import StatusSeries, read_recording, read_s
 from ptnsbc_tools.tables import Summary, verdict_summary
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from ptnsbc_sim.swarm import HeadlessFlight
 
 
@@ -239,8 +241,13 @@ class Flight(FlightArrays):
         return view_of(self.recording, status, self.tolerance_m, self.bag)
 
     def plot(
-        self, what: str = "errors", axes: Any = None, *, legend: bool = True, labels: bool = True
-    ) -> Any:
+        self,
+        what: str = "errors",
+        axes: Axes | None = None,
+        *,
+        legend: bool = True,
+        labels: bool = True,
+    ) -> Axes:
         """Draw a figure of `ptnsbc plot --what` on Matplotlib axes, by default on new ones, and return them.
 
         Sizes are those of `rcParams`. `legend` names the curves below the axes, where a figure with
@@ -261,11 +268,13 @@ class Flight(FlightArrays):
             raise FlightError(f"{what}: nothing to draw: {reason}")
         return chart
 
-    def plot_errors(self, axes: Any = None, *, legend: bool = True, labels: bool = True) -> Any:
+    def plot_errors(
+        self, axes: Axes | None = None, *, legend: bool = True, labels: bool = True
+    ) -> Axes:
         """Draw the formation errors with deadline and tolerance on Matplotlib axes, and return them; see `plot`."""
         return self.plot("errors", axes, legend=legend, labels=labels)
 
-    def plot_paths(self, axes: Any = None, *, legend: bool = True) -> Any:
+    def plot_paths(self, axes: Axes | None = None, *, legend: bool = True) -> Axes:
         """Draw paths, the formation and obstacles from above on Matplotlib axes, and return them; see `plot`."""
         axes = new_axes() if axes is None else axes
         draw.draw_paths(axes, self.recording, legend=legend)
@@ -319,7 +328,7 @@ class Flight(FlightArrays):
         )
 
 
-def new_axes() -> Any:
+def new_axes() -> Axes:
     """Matplotlib axes on a new figure."""
     from matplotlib import pyplot
 

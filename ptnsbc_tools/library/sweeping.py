@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
@@ -28,6 +28,9 @@ from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
 from ptnsbc_tools.tables import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MOMENT_S = 0.05
 
@@ -86,7 +89,7 @@ class Sweep:
         frame.attrs = {"units": self.units, "plan": self.plan.name}
         return frame
 
-    def plot_met(self, key: str | None = None, axes: Any = None) -> Any:
+    def plot_met(self, key: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the share of flights met against a drawn key on Matplotlib axes, and return them.
 
         By default that is the first key, or the largest start error, on new axes. SweepError when nothing of this name

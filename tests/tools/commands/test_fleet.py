@@ -9,11 +9,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.check import dry_run
+from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands import fleet
 from ptnsbc_tools.live.dashboard import Viewer
 from ptnsbc_tools.options import Showing
@@ -162,6 +164,16 @@ def test_an_unreadable_bag_does_not_hide_the_flight(
     data = json.loads(out)
     assert (data["verdict"], data["fleet"]["died"]) == (None, ["recorder"])
     assert data["fleet"]["recorded"] == RECORDED
+
+
+def test_the_links_follow_a_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of `ptnsbc autopilot --port-base`: the first vehicle on the port, the others on the next ones."""
+    flown = []
+    monkeypatch.setattr(fleet, "fly_and_judge", lambda scenario, *_, **more: flown.append(scenario))
+    words = ["fleet", "take_off_4", "--backend", "mavlink", "--port-base", "24540"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    links = [flown[0].vehicle_link(uav).connect for uav in flown[0].uav_ids]
+    assert links == [f"udpin:127.0.0.1:{port}" for port in range(24540, 24544)]
 
 
 def test_every_override_is_told_beside_what_the_file_says() -> None:
