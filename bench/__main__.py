@@ -1,4 +1,4 @@
-"""`python -m bench [--quick] [--only NAME] [--json] [-o FILE.md]`: measure, and print one table."""
+"""`python -m bench [--quick] [--only NAME] [--json]`: measure, and print one table."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ import argparse
 import dataclasses
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
-from typing import Any
 
 from bench.session import Machine, Plan, print_progress, sentences
 from bench.table import Row, markdown
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.files import replacing
 
-SECTIONS = ("step", "headless", "sweep", "startup", "fleets")
+SECTIONS = ("step", "headless", "sweep", "startup", "fleets", "peers")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,29 +30,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         except (ImportError, PtnsbcError) as error:
             failed[section] = str(error)
             print_progress(f"{section} failed: {error}")
-    _show(options, rows, failed, machine.facts())
-    return int(bool(failed))
-
-
-def _show(
-    options: argparse.Namespace,
-    rows: Sequence[Row],
-    failed: Mapping[str, str],
-    facts: Mapping[str, Any],
-) -> None:
+    facts = machine.facts()
     if options.json:
-        found = {
-            "quick": options.quick,
-            "machine": facts,
-            "rows": [row.as_json() for row in rows],
-            "failed": failed,
-        }
-        print(json.dumps(found))
+        measured = [row.as_json() for row in rows]
+        print(
+            json.dumps({"quick": plan.quick, "machine": facts, "rows": measured, "failed": failed})
+        )
     else:
         print(markdown(rows, sentences(facts)))
-    if options.output is not None:
-        with replacing(options.output) as part:
-            part.write_text(markdown(rows, sentences(facts)), encoding="utf-8")
+    return int(bool(failed))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -65,7 +48,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="Markdown, for docs")
     return parser
 
 
