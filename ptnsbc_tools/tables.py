@@ -114,8 +114,9 @@ class Summary:
 
     def table(self) -> Table:
         """The rows for a terminal."""
-        words = [head for head, value in self.rows[0].items() if isinstance(value, str)]
-        table = new_table(self.title, self.rows[0], words)
+        first = self.rows[0] if self.rows else {}
+        words = [head for head, value in first.items() if isinstance(value, str)]
+        table = new_table(self.title, first, words)
         for row in self.rows:
             table.add_row(*map(_cell, row.values()))
         return table
@@ -152,9 +153,9 @@ def findings_table(findings: Iterable[Finding], *, brief: bool = False) -> Table
     return table
 
 
-def verdict_summary(verdict: Verdict, uavs: Sequence[UavVerdict] = ()) -> Summary:
+def verdict_summary(verdict: Verdict, uavs: Sequence[UavVerdict] | None = None) -> Summary:
     """The figures of each UAV, of all of the verdict or of these: its deadline, and what was kept after it."""
-    uavs = uavs or verdict.uavs
+    uavs = verdict.uavs if uavs is None else uavs
     own = all(one.slot == one.uav for one in uavs)
     columns = _DEADLINE if own else (_SLOT, *_DEADLINE)
     columns += _MISSING if any(one.missing for one in uavs) else ()

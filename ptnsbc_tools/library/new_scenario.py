@@ -53,10 +53,8 @@ def _way_in(file: Path, folder: Path) -> _Way:
     """The path of a file; its heading is that of the file, or that of the path where it never stands still."""
     keys = {"leader.trajectory": {"kind": "file", "file": str(file.resolve())}}
     path = scenario_from_text("extends: paper_5_free", keys, source=str(file)).leader.trajectory
-    curve, block = (
-        trajectory_of(path),
-        f"kind: file, file: {json.dumps(os.path.relpath(file, folder))}",
-    )
+    curve, named = trajectory_of(path), json.dumps(os.path.relpath(file, folder))
+    block = f"kind: file, file: {named}"
     duration_s = max(_BEFORE_ITS_END * float(curve.table[-1, 0]), _SHORTEST_S)
     turns = curve.numbers[1] == HEADING_TABLE
     if not turns and extremes(path, duration_s).slowest_m_s > _SLOWEST_M_S:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_flights import away, counters, flight
@@ -9,7 +11,12 @@ from synthetic_flights import away, counters, flight
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_tools.options import Showing
-from ptnsbc_tools.tables import show_verdict, verdict_sentence
+from ptnsbc_tools.tables import (
+    show_verdict,
+    verdict_sentence,
+    verdict_summary,
+    verdict_tables,
+)
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +65,12 @@ def test_all_figures_are_there_on_request(
     out = capsys.readouterr().out
     for title in ("settled s", "Way back after encounters", "Input", "Separation"):
         assert title in out
+
+
+def test_a_leg_that_was_not_flown_has_no_rows(late: Verdict) -> None:
+    assert len(verdict_summary(late).rows) == 5
+    assert verdict_summary(late, ()).rows == ()
+    assert verdict_summary(late, ()).table().row_count == 0
+    unflown = replace(late.legs[0], uavs=(), reason="the leg was not flown")
+    shown = [table.row_count for table in verdict_tables(replace(late, uavs=(), legs=(unflown,)))]
+    assert shown[0] == 0
