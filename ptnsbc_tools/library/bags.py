@@ -76,7 +76,7 @@ def repair(
     moved = source.with_name(source.name + ".original") if target == source else None
     if (moved or target).exists():
         raise BagError(
-            f"{moved or target} exists: move it away, or choose another place with --output"
+            f"{moved or target} exists: move it away, or choose another output"
         )
     temporary = target.with_name(target.name + ".repairing")
     temporaries = (temporary, temporary.with_name(temporary.name + ".part"))
