@@ -75,9 +75,7 @@ def repair(
     # Where the source goes when the target takes its name.
     moved = source.with_name(source.name + ".original") if target == source else None
     if (moved or target).exists():
-        raise BagError(
-            f"{moved or target} exists: move it away, or choose another output"
-        )
+        raise BagError(f"{moved or target} exists: move it away, or choose another output")
     temporary = target.with_name(target.name + ".repairing")
     temporaries = (temporary, temporary.with_name(temporary.name + ".part"))
     for leftover in temporaries:

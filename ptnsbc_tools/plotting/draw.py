@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -43,7 +44,6 @@ _COLUMN_FONT = 8.0
 _DPI, _COLUMN_DPI = 110, 300
 _PATH_POINTS = 4000
 _UPRIGHT = 0.7  # part of the normal along the line of sight from which on a surface is not drawn
-_EDGE = 0.03  # of the time shown: words of a mark nearer to its end stand before it
 _TITLE = 110  # letters in a line
 _SNAPSHOTS = 5  # of the formation
 _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
@@ -51,6 +51,7 @@ _BELOW = 3.2  # from the axes to the legend below them, of the size of the font
 # Widths of a letter of a legend and of what stands before a name, of its size
 _LETTER, _HANDLE = 0.6, 3.5
 _ENTRY_IN, _ROW_IN = 1.0, 0.15  # of a legend
+_LETTER_HIGH = 1.2  # and of a line, of the font
 _SMALL = 0.8  # letters of a legend, of the size of the font
 _LEFT_OVER = 0.75  # of the height of axes, beside a legend
 _BEHIND_CURVES = 1.5  # zorder
@@ -125,10 +126,12 @@ def draw_chart(axes: Any, chart: Chart, *, legend: bool = True, labels: bool = T
     axes.set_title(chart.title, fontsize="medium")
     axes.grid(alpha=0.3)
     begin, end = axes.get_xlim()
-    for mark in chart.marks if labels else ():
-        side = {"xytext": (2, -3), "ha": "left"}
-        if mark.t > end - _EDGE * (end - begin):
-            side = {"xytext": (-3, -3), "ha": "right"}
+    wide = (end - begin) * _LETTER_HIGH * rcParams["font.size"] * axes.figure.dpi / 72.0
+    wide /= axes.get_window_extent().width  # of a word, in time
+    following = [mark.t for mark in chart.marks[1:]] + [math.inf]
+    for mark, next_s in zip(chart.marks, following, strict=False) if labels else ():
+        left = next_s - mark.t < wide  # the next word is to the right of it
+        side = {"xytext": (-2, -3), "ha": "right"} if left else {"xytext": (2, -3), "ha": "left"}
         axes.annotate(mark.label, (mark.t, 1.0), xycoords=("data", "axes fraction"),
                       rotation=90, va="top", **side, **words)  # fmt: skip
     if legend and len(chart.curves) > 1:
@@ -287,7 +290,8 @@ def _name(axes: Any, names: Sequence[tuple[str, Array]]) -> None:
         for far, angle in product((9.0, 16.0, 24.0, 34.0), around):
             text.set_position((far * np.sin(angle), far * np.cos(angle)))
             box = text.get_window_extent()
-            if not any(Bbox.intersection(box, other) for other in taken):
+            inside = box.y1 <= axes.bbox.y1  # above is the title
+            if inside and not any(Bbox.intersection(box, other) for other in taken):
                 break
         taken.append(box)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import OutputFileError
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.plotting import draw
-from ptnsbc_tools.plotting.charts import errors, view_of
+from ptnsbc_tools.plotting.charts import Mark, errors, view_of
 from ptnsbc_tools.reading.bag_reader import StatusSeries
 
 
@@ -67,6 +68,19 @@ def test_the_labels_of_small_axes_stand_in_the_figure(fly, columns, legend):
         label = axes.yaxis.label.get_window_extent()
         assert label.y0 >= -1.0 and label.y1 <= figure.bbox.height + 1.0
         assert label.x0 >= 0.0
+
+
+def test_words_at_times_close_together_stand_side_by_side(fly):
+    """Also the one at the end of the flight, and in the figure."""
+    chart = errors(view_of(fly(seconds=12.0), StatusSeries()))
+    times = {"deadline 5 s": 5.0, "gate": 5.3, "hold due": 11.5, "land": 11.9}
+    chart = replace(chart, limits=(), marks=tuple(Mark(t, name) for name, t in times.items()))
+    with draw.sized("one"):
+        figure = draw.figure_of(chart, "x", "one")
+        figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+    assert len(boxes) == 4 and not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert max(box.x1 for box in boxes) <= figure.bbox.width + 1.0
 
 
 def test_no_name_covers_a_curve_or_another_name(fly):
