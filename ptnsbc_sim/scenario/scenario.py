@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from operator import attrgetter, is_
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,8 @@ def validated(tree: Tree, source: str) -> ScenarioFile:
         raise scenario_error(source, error, tree) from None
 
 
-_BESIDE_STARTS = tuple(set(ScenarioFile.model_fields) - {"uavs", "seed"})
-_BESIDE_POSITION = tuple(set(UavBlock.model_fields) - {"position_m"})
+_beside_starts = attrgetter(*set(ScenarioFile.model_fields) - {"uavs", "seed"})
+_beside_position = attrgetter(*set(UavBlock.model_fields) - {"position_m"})
 
 
 class Scenario(ScenarioFile):
@@ -120,11 +121,10 @@ class Scenario(ScenarioFile):
         return (
             self.topology is other.topology
             and len(self.uavs) == len(other.uavs)
-            and all(getattr(self, key) is getattr(other, key) for key in _BESIDE_STARTS)
+            and all(map(is_, _beside_starts(self), _beside_starts(other)))
             and all(
-                getattr(uav, key) is getattr(twin, key)
+                all(map(is_, _beside_position(uav), _beside_position(twin)))
                 for uav, twin in zip(self.uavs, other.uavs, strict=True)
-                for key in _BESIDE_POSITION
             )
         )
 
