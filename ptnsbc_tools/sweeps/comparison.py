@@ -72,7 +72,8 @@ class Compared:
         if flights.only_a > flights.only_b and flights.p < LEVEL:
             reasons.append(f"{self.name} meets the deadline in fewer flights (p = {flights.p:.2g})")
         if largest is not None and largest.low > self.margin_m:
-            reasons.append(f"{largest.label} is larger by {largest.difference:.4g} in the median")
+            what = largest.label.removesuffix(" [m]")
+            reasons.append(f"{what} is larger by {largest.difference:.4g} m in the median")
         return tuple(reasons)
 
     def __str__(self) -> str:
