@@ -411,11 +411,13 @@ def _checked_pair(buf: bytes, what: str, limits: tuple[tuple[str, float], ...]) 
 
 
 def checked_near(buf: bytes) -> Stamped:
-    """`decode_near`; WireError for too many objects, or for one that cannot be.
+    """`decode_near`; WireError for too many objects, for one that cannot be, or for the frame of a body.
 
     `decode_near` leaves out points that are not finite, because a sensor marks "no return" that way.
     """
-    message = decode_near(buf)
+    message, frame = decode_near(buf), decode_header(buf).frame_id
+    if frame.endswith("base_link"):  # REP-105
+        raise WireError(f"{_NEAR}: frame {frame[-40:]!r}: expected positions in the world's frame")
     rows = message.values
     if len(rows) > MOST_NEAR_OBJECTS:
         raise WireError(f"{_NEAR}: {len(rows)} objects: expected at most {MOST_NEAR_OBJECTS}")

@@ -261,6 +261,13 @@ def test_near_as_rclpy(ros, stamp, frame, rows):
         assert decoded.values.tobytes() == rows.tobytes()
 
 
+def test_near_objects_in_the_frame_of_a_body_are_refused():
+    """They were taken for places in the world."""
+    cloud = wire.encode_near(0, "uav3/base_link", np.ones((1, 7)))
+    with pytest.raises(wire.WireError, match="frame 'uav3/base_link': expected"):
+        wire.checked_near(cloud)
+
+
 @given(STAMPS, FRAMES, ROWS)
 def test_near_of_an_older_bag(ros, stamp, frame, rows):
     points = np.array([tuple(row) for row in rows.tolist()], COARSE)
