@@ -251,17 +251,14 @@ def compare(
         raise comparison.ComparisonError(
             f"{len(others)} others: expected one or more, with as many names"
         )
-    for one in others:
-        _refuse_unlike(a, one)
+    plans = [one.plan for one in (a, *others) if isinstance(one, Sweep)]
+    flights = sum(isinstance(one, Flight) for one in (a, *others))
+    if 1 + len(others) not in (len(plans), flights):
+        raise comparison.ComparisonError("a sweep and a flight: expected sweeps, or flights")
+    for other in plans[1:]:
+        comparison.same_draws(plans[0], other)
     tables = {name: _table_of(one) for name, one in zip(names, others, strict=False)}
     return comparison.compare(_table_of(a), tables, margin_m=margin_m, seed=seed)
-
-
-def _refuse_unlike(a: Sweep | Flight, b: Sweep | Flight) -> None:
-    if isinstance(a, Sweep) and isinstance(b, Sweep):
-        comparison.same_draws(a.plan, b.plan)
-    elif not isinstance(a, Flight) or not isinstance(b, Flight):
-        raise comparison.ComparisonError("a sweep and a flight: expected sweeps, or flights")
 
 
 def _table_of(one: Sweep | Flight) -> FlightTable:

@@ -79,8 +79,8 @@ class Compared:
     def __str__(self) -> str:
         if self.reasons:
             return f"{self.name} is worse: {'; '.join(self.reasons)}"
-        alone = ": no UAV that met in A fails in it; one flight each has no interval"
-        return f"{self.name} is not worse{alone if self.draws == 1 else ' at 5 %'}"
+        alone = self.draws == 1
+        return f"{self.name} is not worse{', of one flight each' if alone else ' at 5 %'}"
 
 
 @dataclass(frozen=True, repr=False)
