@@ -99,10 +99,8 @@ class _Field(NamedTuple):
     size: int = 1  # numbers
 
 
-def _points(
-    data: bytes, fields: Sequence[_Field], count: int, *, text: bool, more: bool = False
-) -> Array:
-    """The fields x, y and z of `count` records, as rows of text or in binary; after text `more` may follow."""
+def _points(data: bytes, fields: Sequence[_Field], count: int, *, text: bool) -> Array:
+    """The fields x, y and z of `count` records, as rows of text or in binary; more may follow."""
     names = [field.name for field in fields]
     axes = [names.index(axis) for axis in "xyz" if axis in names]
     if len(axes) < 3 or any(fields[place].size != 1 for place in axes):
@@ -117,9 +115,9 @@ def _points(
     columns = [sum(field.size for field in fields[:place]) for place in axes]
     rows: Array | tuple[()] = ()
     try:
-        if data.strip():
-            most = count if more else None
-            rows = np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2, max_rows=most)
+        if count and data.strip():
+            stream = io.BytesIO(data)
+            rows = np.loadtxt(stream, usecols=columns, ndmin=2, max_rows=count, comments=None)
     except ValueError:
         raise PointCloudFileError("expected a row of numbers for each point") from None
     if len(rows) != count:
@@ -141,7 +139,7 @@ def _ply(data: bytes) -> Array:
     if form not in _ORDERS:
         raise PointCloudFileError(f"format {form[:40]}: expected {', '.join(_ORDERS)}")
     count, fields = _vertices(lines, _ORDERS[form])
-    return _points(data[first:], fields, count, text=form == "ascii", more=True)
+    return _points(data[first:], fields, count, text=form == "ascii")
 
 
 def _vertices(lines: list[list[str]], order: str) -> tuple[int, list[_Field]]:
@@ -190,7 +188,7 @@ def _pcd(data: bytes) -> Array:
     points, kind = _numbers("POINTS", header["POINTS"])[0], header["DATA"][0]
     if kind not in ("ascii", "binary"):
         raise PointCloudFileError(
-            f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
+            f"DATA {kind}: expected ascii or binary: pcl_convert_pcd_ascii_binary MAP.pcd NEW.pcd 1"
         )
     return _points(data[after + 1 :], _fields(header), points, text=kind == "ascii")
 

@@ -164,9 +164,10 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
         ("a.pcd", "", "expected the header of a PCD file"),
         ("a.pcd", "FIELDS x y z\nDATA ascii\n", "expected a line SIZE in the header"),
         ("a.pcd", header("ascii"), "0 points: expected 3"),
-        ("a.pcd", header("ascii", 0), "no points: expected at least one"),
+        ("a.pcd", header("ascii", 0) + "1 2 3\n", "no points: expected at least one"),
         ("a.pcd", header("ascii") + "1 2 3\n", "1 points: expected 3"),
         ("a.pcd", header("ascii") + "1 2 3\n1 2\n1 2 3\n", "expected a row of numbers for each"),
+        ("a.pcd", header("ascii") + "# 1 2 3\n", "expected a row of numbers for each"),
         ("a.pcd", header("binary") + "1234", "expected 36 bytes of points, found 4"),
         (
             "a.pcd",
