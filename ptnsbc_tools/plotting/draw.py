@@ -236,23 +236,22 @@ def draw_paths(
     places = dict(zip(scenario.uav_ids, positions, strict=True))
     later_s = seconds(recording.start_ns - recording.first_ns)
     names = [
-        (f"{t:.3g} s", place)
-        for t, place in zip(times, places[scenario.leader.id][:, view], strict=True)
+        (f"{t:.3g} s", place[None, view])
+        for t, place in zip(times, places[scenario.leader.id], strict=True)
     ]
     for uav, place in places.items():
         parent = scenario.communication.parent(uav)
         for own, other in zip(place, places[parent], strict=True) if parent is not None else ():
             axes.plot(*np.stack([own, other])[:, view].T, color="black", linewidth=1.2, alpha=0.6)
         axes.plot(*place[:, view].T, "o", color=colours[uav], markersize=5)
-    flown = np.concatenate(list(paths.values()))[:, view]
-    low, high = np.nanmin(flown, axis=0), np.nanmax(flown, axis=0)
+    written = {obstacle.name for obstacle in scenario.world.obstacles}
     for obstacle in scenario.world.bodies:
         moves = obstacle.path is not None
         centres = obstacle.motion(np.array(times if moves else times[:1]) + later_s).positions
         for k, centre in enumerate(centres, 1):
             _outline(axes, obstacle, centre, view, 0.4 * k / len(centres))
-        seen = [place for place in centres[:, view] if (low < place).all() and (place < high).all()]
-        names += [(obstacle.name, place) for place in seen[-1:]]
+        if obstacle.name in written:  # pieces of a cloud have names that nobody gave
+            names.append((obstacle.name, centres[:, view]))
         if moves:
             way = obstacle.motion(np.linspace(0.0, times[-1] + later_s, _PATH_POINTS)).positions
             # No plot: what flies is fitted into the axes, and not the way of an obstacle.
@@ -276,7 +275,7 @@ def _snapshots(recording: Recording) -> list[float]:
 
 
 def _name(axes: Any, names: Sequence[tuple[str, Array]]) -> None:
-    """Write names beside their points (2,), each where it covers neither another name nor a UAV."""
+    """Write each name beside the last of its points (K, 2) that is seen, where it covers no other name and no UAV."""
     from matplotlib.transforms import Bbox
 
     axes.get_figure(root=True).draw_without_rendering()  # where the layout has put the axes
@@ -284,8 +283,11 @@ def _name(axes: Any, names: Sequence[tuple[str, Array]]) -> None:
     dots = axes.transData.transform(np.concatenate(lines))
     taken = [Bbox.from_extents(*(dot - 3.0), *(dot + 3.0)) for dot in dots]
     around = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-    for name, point in names:
-        text = axes.annotate(name, point, (0, 0), textcoords="offset points", ha="center",
+    for name, points in names:
+        seen = [at for at in points if axes.bbox.contains(*axes.transData.transform(at))]
+        if not seen:
+            continue
+        text = axes.annotate(name, seen[-1], (0, 0), textcoords="offset points", ha="center",
                              va="center", fontsize="x-small", zorder=5, bbox=_PAPER)  # fmt: skip
         for far, angle in product((9.0, 16.0, 24.0, 34.0), around):
             text.set_position((far * np.sin(angle), far * np.cos(angle)))

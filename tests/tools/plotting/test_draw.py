@@ -96,6 +96,20 @@ def test_no_name_covers_a_curve_or_another_name(fly):
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
 
 
+def test_an_obstacle_beside_what_flies_is_named(fly):
+    """In axes that are wider than the paths; what is outside of them has no name."""
+    beside = {"kind": "box", "size_m": [2, 2, 6], "keep_out_m": 0.5}
+    boxes = [
+        {"name": name, "position_m": [x, 3, 3], **beside}
+        for name, x in (("house", 9.0), ("tower", 90.0))
+    ]
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 7.0, "world.obstacles": boxes})
+    axes = draw.blank_figure((16, 4)).add_subplot()
+    draw.draw_paths(axes, fly(scenario=scenario, seconds=7.0))
+    names = {text.get_text() for text in axes.texts}
+    assert "house" in names and "tower" not in names
+
+
 def test_a_user_leaves_out_legend_and_labels(fly):
     chart = errors(view_of(fly(seconds=7.0), StatusSeries()))
     axes = draw.blank_figure((3.5, 2.2)).add_subplot()
