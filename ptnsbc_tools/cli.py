@@ -36,7 +36,7 @@ _FOREIGN = {"ignore_unknown_options": True, "allow_extra_args": True, "help_opti
 PANELS = {
     "Begin": "check:new check:check check:scenarios check:doctor",
     "Fly": "simulate:simulate simulate:sweep fleet:fleet fleet:demo",
-    "A flying fleet": "flying_fleet:view flying_fleet:mission flying_fleet:inject flying_fleet:stop",
+    "A flying fleet": "flying_fleet:view flying_fleet:mission flying_fleet:stop",
     "Look at flights": "look:report look:verify simulate:compare look:plot look:export bags:bag look:reproduce",
     "Vehicles and networks": "vehicles:bridge vehicles:tune vehicles:autopilot network:network",
 }

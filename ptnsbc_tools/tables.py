@@ -338,8 +338,8 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
 
 
 def reasons(verdict: Verdict, *, all_of_them: bool = True) -> list[Text]:
-    """The injected faults, and why UAVs and legs are not met, one line each; of all the excuses of the others too."""
-    found = [Text(f"injected: {fault}") for fault in verdict.faults]
+    """The faults, and why UAVs and legs are not met, one line each; of all the excuses of the others too."""
+    found = [Text(f"fault: {fault}") for fault in verdict.faults]
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
         where = of_leg if len(verdict.legs) > 1 else ""

@@ -23,7 +23,6 @@ from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import recorded
-from ptnsbc_nodes.fleet.fault_injector import hear_faults
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
 from ptnsbc_nodes.recording.recorder import BagRecorder, topic_info
@@ -34,7 +33,6 @@ from ptnsbc_sim.scenario import Scenario, load_scenario
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
 SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
-_FAULTS = {"faults": []}  # with it the nodes hear of faults that are injected
 _OPEN_SLOTS = {"formation.assignment": "optimal"}
 _STREAM = {
     "leader.trajectory": {
@@ -73,7 +71,7 @@ def ends() -> list[End]:
     with free_domain() as domain:
         found = []
         for mode, options in _MODES.items():
-            found += _flight(domain, mode, options, load_scenario(SCENARIO, _FAULTS))
+            found += _flight(domain, mode, options, load_scenario(SCENARIO))
             decided = _flight(domain, mode, options, load_scenario(SCENARIO, _OPEN_SLOTS))
             found += [end for end in decided if end.topic == topics.SLOTS.name]
             streamed = _flight(domain, mode, options, load_scenario(SCENARIO, _STREAM))
@@ -115,7 +113,6 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
         for leads in (True, False):
             name = "fleet" if leads else "fleet_elsewhere"
             launcher = stack.enter_context(LauncherNode(domain, name, shared=True, leads=leads))
-            hear_faults(launcher, scenario.uav_ids, lambda _: None)
             made.append(("launcher", 0, launcher.node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader.id)

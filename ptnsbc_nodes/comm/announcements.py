@@ -5,10 +5,9 @@ A message on /formation/slots belongs to the epoch of its stamp. Its text has a 
 
 from __future__ import annotations
 
-import json
 import re
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +19,6 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency import Order, parse_order
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_sim.scenario.slots import Slots, SlotsError, require_slots
 
@@ -60,38 +58,6 @@ def decode_lost(data: bytes) -> LostProcess:
     if process is None:
         raise WireError(f"process {name[:_SHOWN]!r}: expected uavN, bridgeN, {SIM} or {RECORDER}")
     return LostProcess(name, int(process[2]) if process[1] == "uav" else None)
-
-
-class OrderedFault(NamedTuple):
-    """A fault that an operator injects."""
-
-    stamp_ns: int  # when, by the operator's clock
-    fault: FaultBlock
-
-
-def encode_fault(stamp_ns: int, fault: FaultBlock) -> bytes:
-    """A fault that begins now."""
-    keys = fault.model_dump(mode="json", exclude_none=True, exclude={"at_s"})
-    return HeaderTemplate(json.dumps(keys)).encode(stamp_ns)
-
-
-def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
-    """The decoder of a fault of a fleet of these UAVs; WireError for one that none of them can have."""
-
-    def decode(data: bytes) -> OrderedFault:
-        stamp_ns, text = decode_header(data)
-        try:
-            keys = json.loads(text)
-            fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
-        except (ValueError, TypeError, RecursionError):
-            raise WireError(f"fault {text[:_SHOWN]!r}: expected what ptnsbc inject sends") from None
-        for problem in fault_problems(fault, uavs):
-            raise WireError(f"fault: {problem}")
-        if not fault.rule.live:
-            raise WireError(f"fault {fault.kind}: expected one that ptnsbc inject sends")
-        return OrderedFault(stamp_ns, fault)
-
-    return decode
 
 
 class Requests:

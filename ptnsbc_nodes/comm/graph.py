@@ -45,7 +45,7 @@ class Senders:
     several: SeveralParents | None = None  # the parents of a UAV with more than one
     every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
     links: Mapping[tuple[int, int], Link] = field(default_factory=dict)  # by kind and sender
-    faults: tuple[FaultBlock, ...] | None = None  # of the scenario; None: none can be injected
+    faults: tuple[FaultBlock, ...] = ()  # of the scenario
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -95,7 +95,7 @@ class CommunicationGraph:
                 for kind in (STATE_LINK, ESTIMATE_LINK)
                 for i in others
             },
-            faults=scenario.faults,
+            faults=scenario.faults or (),
         )
 
     def of(self, scenario: Scenario) -> CommunicationGraph:

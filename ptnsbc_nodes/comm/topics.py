@@ -69,11 +69,8 @@ REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, ON_DEMA
 """frame_id the leg that an operator calls the leader's service for next; with `security: signed` the leader answers
 no call without it."""
 
-FAULT = Topic("/formation/fault", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
-"""frame_id a fault as JSON, from `ptnsbc inject`; heard only where the scenario has the key `faults`."""
-
 SEVERAL_PUBLISHERS = frozenset(
-    one.name for one in (DIAGNOSTICS, READY, LOST, EMERGENCY, TF, REQUEST, FAULT)
+    one.name for one in (DIAGNOSTICS, READY, LOST, EMERGENCY, TF, REQUEST)
 )
 """Topics on which several nodes publish."""
 

@@ -1,7 +1,5 @@
 """Faults of processes, carried out by the launcher that has started them: signals by pid, and a full disk.
 
-An operator announces a fault to a fleet in flight, and each process of the fleet hears of it.
-
 In real time the times of a scenario count from the start of the mission. In lock-step the launcher has no mission time:
 a UAV carries out its own `kill` there (`UavFaults`), and nothing else of the scenario is injected.
 """
@@ -11,18 +9,15 @@ from __future__ import annotations
 import resource
 import signal
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.child_process import ChildProcess, FleetOptions
-from ptnsbc_nodes.fleet.fleet_node import FleetNode
 from ptnsbc_sim.scenario.mission.fault_rules import PROCESS, RECORDER, FaultBlock
 
+_OURS = (PROCESS, RECORDER)
 _KILLED_S = 5.0
-_LISTENERS_S = 2.0  # without a further listener to faults: all are discovered
 _SMALLEST_FULL_DISK = 1 << 16  # [bytes]; the log of the recorder must still fit
 
 
@@ -39,24 +34,15 @@ class FaultInjector:
         """`report`: takes a line for each fault; `restart`: starts a process again that has been killed."""
         self._options, self._report, self._restart = options, report, restart
         self._steady_s = steady_s
-        self._t0_s = steady_s()
         self._due: list[tuple[float, FaultBlock]] = []
         self._frozen: list[tuple[float, ChildProcess]] = []
         self._gone: list[tuple[float, ChildProcess]] = []  # to be started again
 
     def begin(self, t0_s: float) -> None:
         """The mission begins at this time of the steady clock."""
-        self._t0_s = t0_s
         if not self._options.lockstep:
             faults = self._options.scenario.faults or ()
-            self._due += [(t0_s + one.at_s, one) for one in faults if _is_ours(one)]
-
-    def add(self, fault: FaultBlock) -> None:
-        """A fault that begins now."""
-        now_s = self._steady_s()
-        if _is_ours(fault):
-            at_s = round(max(now_s - self._t0_s, 0.0), 1)
-            self._due.append((now_s, fault.model_copy(update={"at_s": at_s})))
+            self._due += [(t0_s + one.at_s, one) for one in faults if one.rule.strikes in _OURS]
 
     def look(self, children: Sequence[ChildProcess]) -> None:
         """Begin the faults that are due, and end those that are over."""
@@ -112,33 +98,3 @@ class FaultInjector:
         with suppress(OSError, ValueError):  # it may just have ended
             _, most = resource.prlimit(child.pid, resource.RLIMIT_FSIZE)
             resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (limit, most))
-
-
-def _is_ours(fault: FaultBlock) -> bool:
-    return fault.rule.strikes in (PROCESS, RECORDER)
-
-
-def hear_faults(node: FleetNode, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
-    """Hear of the faults that an operator announces to a fleet of these UAVs."""
-    node.attach(
-        lambda: node.endpoints.listen(
-            topics.FAULT, fault_decoder(uavs), lambda order: take(order.fault), required=False
-        )
-    )
-
-
-def announce_fault(node: FleetNode, fault: FaultBlock, patience_s: float) -> int:
-    """Tell a running fleet of a fault, once; returns how many processes listened, after at most this time."""
-    publish = node.endpoints.publisher(topics.FAULT, 1)
-    count = node.endpoints.readers(topics.FAULT)
-    deadline = time.monotonic() + patience_s
-    listeners = count()
-    while time.monotonic() < deadline:
-        node.spin(_LISTENERS_S)
-        if listeners and count() == listeners:  # no further one has been discovered for a while
-            break
-        listeners = count()
-    if listeners:
-        publish(encode_fault(time.time_ns(), fault))
-        node.endpoints.flush(patience_s)
-    return listeners

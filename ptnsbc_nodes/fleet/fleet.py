@@ -32,7 +32,7 @@ from ptnsbc_nodes.fleet.child_process import (
     groups,
     names,
 )
-from ptnsbc_nodes.fleet.fault_injector import FaultInjector, hear_faults
+from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.fleet.takeoff import FleetError, Launch, Report, TakeOff
@@ -146,8 +146,6 @@ def prepare(options: FleetOptions) -> None:
 def _fly(launch: Launch, processes: Sequence[ProcessCommand]) -> FleetResult:
     options, crew, node, stop, progress = launch
     faults = FaultInjector(options, progress, crew.start_again)
-    if options.scenario.faults is not None:
-        hear_faults(node, options.scenario.uav_ids, faults.add)
     supervisor = Supervisor(launch, faults)
     began = time.monotonic()
     try:

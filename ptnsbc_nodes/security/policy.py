@@ -18,9 +18,9 @@ from ptnsbc_sim.scenario import Scenario
 
 VERSION = "0.2.0"
 FLEET, OPERATOR = "fleet", "operator"
-"""Enclaves of the launcher, and of what an operator runs beside it: `ptnsbc stop`, `view`, `inject`, ros2, RViz."""
-_OPERATORS_NODES = ("operator*", "stop_*", "mission_*", "inject_*", "view*", "_ros2cli*")
-_ORDERS = (topics.REQUEST, topics.LOST, topics.EMERGENCY, topics.FAULT)
+"""Enclaves of the launcher, and of what an operator runs beside it: `ptnsbc stop`, `view`, `mission`, ros2, RViz."""
+_OPERATORS_NODES = ("operator*", "stop_*", "mission_*", "view*", "_ros2cli*")
+_ORDERS = (topics.REQUEST, topics.LOST, topics.EMERGENCY)
 
 
 class Enclave(NamedTuple):
@@ -57,7 +57,7 @@ def enclaves(
         )
     every = topics.recorded(ids, lockstep=False, with_truth=True, with_slots=True, with_stream=True)
     yield Enclave(topics.RECORDER, ("recorder",), publish=(topics.RECORDED,), subscribe=every)
-    reports = (topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.FAULT, topics.EPOCH)
+    reports = (topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.EPOCH)
     yield Enclave(
         FLEET,
         ("fleet*",),  # launchers on several computers differ in name
@@ -96,7 +96,7 @@ def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int) -> Enclave:
             *(of_leader if leads else ()),
         ),
         subscribe=(
-            *(*edges.heard_by(uav), topics.limits(uav), topics.FAULT),
+            *(*edges.heard_by(uav), topics.limits(uav)),
             *((topics.REQUEST, topics.SETPOINT) if leads else ()),
         ),
         reply=("formation/*",) if leads else (),

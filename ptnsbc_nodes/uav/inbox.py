@@ -35,7 +35,7 @@ from ptnsbc_sim.disturbances.faults import MessageFault, message_fault
 from ptnsbc_sim.disturbances.links import Link
 from ptnsbc_sim.disturbances.random_streams import ESTIMATE_LINK, STATE_LINK
 from ptnsbc_sim.plugins.uav_plugins import Heard
-from ptnsbc_sim.scenario.mission.fault_rules import MOST_DELAY_S, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import MOST_DELAY_S
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
@@ -55,7 +55,7 @@ class MessageQueue:
     __slots__ = ("_faults", "_is_perfect", "_link", "_messages", "newest_ns")
 
     def __init__(self, link: Link = _PERFECT, faults: Sequence[MessageFault] | None = None) -> None:
-        """`faults`: those of messages, as they come; None where there will be none."""
+        """`faults`: those of messages, which the first epoch brings; None where there will be none."""
         self._link, self._faults = link, () if faults is None else faults
         self._is_perfect = link.loss == 0.0 and link.delay_ns == 0  # of itself
         most_ns = link.delay_ns + (0 if faults is None else nanoseconds(MOST_DELAY_S))
@@ -104,7 +104,7 @@ class Inbox:
         self._faults: list[MessageFault] = []
         self._restarts: list[MessageFault] = []
         self._lost: set[int] = set()
-        faults = None if senders.faults is None else self._faults
+        faults = self._faults if senders.faults else None
 
         def queue(kind: int, sender: int) -> MessageQueue:
             return MessageQueue(senders.links.get((kind, sender), _PERFECT), faults)
@@ -116,18 +116,15 @@ class Inbox:
 
     def begin(self, t0_ns: int) -> None:
         """The first epoch is known, from which the times of injected faults count."""
-        if not self._begun:
-            self._begun = True
-            for number, fault in enumerate(self.senders.faults or ()):
-                self.inject(fault, number, t0_ns)
-
-    def inject(self, fault: FaultBlock, number: int, t0_ns: int) -> None:
-        """One more fault, whose time counts from `t0_ns`; without effect unless it is one of messages."""
-        found = message_fault(fault, number, t0_ns)
-        if found is not None:
-            self._faults.append(found)
-            if fault.kind == "restart":
-                self._restarts.append(found)
+        if self._begun:
+            return
+        self._begun = True
+        for number, fault in enumerate(self.senders.faults):
+            found = message_fault(fault, number, t0_ns)
+            if found is not None:
+                self._faults.append(found)
+                if fault.kind == "restart":
+                    self._restarts.append(found)
 
     def listen_to(self, senders: Senders) -> None:
         """Use the messages of these senders from now on; what has arrived of them counts."""

@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,21 +32,18 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_io.wire import HeaderFields, Stamped
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess, OrderedFault
+from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.counters import UavCounters
-from ptnsbc_sim.disturbances.faults import strikes, without_position
+from ptnsbc_sim.disturbances.faults import without_position
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import RoleChange, UavRole, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import PlannerLimits
-from ptnsbc_sim.scenario.mission.fault_rules import MESSAGES, FaultBlock
+from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 from ptnsbc_sim.scenario.slots import Formations, Slots, optimal_slots, with_slots
-
-_MOST_INJECTED = 20  # that are remembered
-_WINDOW_NS = 5_000_000_000  # an operator's clock that differs more is not believed
 
 
 class StepTime(NamedTuple):
@@ -297,81 +293,43 @@ def at_epoch(own: Stamped, t0_ns: int) -> Array:
 
 
 class UavFaults:
-    """The faults that strike one UAV, of its scenario or injected by an operator, in the stamps of its flight.
+    """The faults of a scenario that strike one UAV, in the stamps of its flight.
 
     In lock-step the process carries out its own `kill`: then the flight is the same every time. In real time the
     launcher kills.
     """
 
-    def __init__(self, scenario: Scenario, uav_id: int, inbox: Inbox, lockstep: bool) -> None:
-        """`inbox`: of the UAV; it takes the faults of the others."""
-        self.allowed = scenario.faults is not None
-        self.injected: list[str] = []  # in flight, in words
-        self._uav, self._inbox, self._lockstep = uav_id, inbox, lockstep
-        self._scenario = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
-        self._count = len(scenario.faults or ())
-        self._own: list[tuple[FaultBlock, int]] = []  # with the instant from which its time counts
-        self._t0_ns: int | None = None
+    def __init__(self, scenario: Scenario, uav_id: int, *, lockstep: bool = False) -> None:
+        self._lockstep = lockstep
+        self._own = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
+        self._spans: list[tuple[FaultBlock, int, int]] = []  # [ns], once the first epoch is known
 
     def begin(self, t0_ns: int) -> None:
-        """The first epoch is known."""
-        if self._t0_ns is None:
-            self._t0_ns = t0_ns
-            self._inbox.begin(t0_ns)
-            self._own += [(fault, t0_ns) for fault in self._scenario]
-
-    def take(self, order: OrderedFault, now_ns: int) -> None:
-        """A fault that an operator injects; in real time all UAVs count it from the same instant."""
-        alike = not self._lockstep and abs(order.stamp_ns - now_ns) < _WINDOW_NS
-        self.inject(order.fault, order.stamp_ns if alike else now_ns)
-
-    def inject(self, fault: FaultBlock, now_ns: int) -> None:
-        """A fault that begins now."""
-        if self._lockstep and fault.rule.strikes == MESSAGES:
-            return  # receivers would begin it at different ticks
-        flight_s = 0.0 if self._t0_ns is None else seconds(now_ns - self._t0_ns)
-        self.injected.append(fault.model_copy(update={"at_s": round(flight_s, 1)}).text)
-        del self.injected[:-_MOST_INJECTED]
-        fault = fault.model_copy(update={"at_s": 0.0})
-        self._inbox.inject(fault, self._count, now_ns)
-        self._count += 1
-        if fault.struck_uav == self._uav:
-            self._own.append((fault, now_ns))
+        """The first epoch is known, from which their times count."""
+        self._spans = self._spans or [(fault, *fault.window_ns(t0_ns)) for fault in self._own]
 
     def strike(self, now_ns: int) -> None:
         """Lock-step: end this process when its time has come."""
-        if self._holds("kill", now_ns):
+        if self._lockstep and self._striking("kill", now_ns):
             os.kill(os.getpid(), signal.SIGKILL)
 
     def plays_dead(self, now_ns: int) -> bool:
         """Lock-step: whether a restart has this process silent; none can be started at a tick, so it plays that."""
-        return self._holds("restart", now_ns)
-
-    def _holds(self, kind: str, now_ns: int) -> bool:
-        own = self._own if self._lockstep else ()
-        return any(strikes(fault, kind, self._uav, now_ns, t0_ns) for fault, t0_ns in own)
+        return self._lockstep and bool(self._striking("restart", now_ns))
 
     def sent(self, message: Stamped) -> Stamped:
         """A state (13,) of this UAV as its neighbours get it."""
-        return _sent(self._own, self._uav, message) if self._own else message
-
-
-def sent_faults(
-    scenario: Scenario, uav_id: int, t0_ns: int = 0
-) -> Callable[[Stamped], Stamped] | None:
-    """The faults of a scenario in the states of one UAV; None without any."""
-    own = [(fault, t0_ns) for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
-    return partial(_sent, own, uav_id) if own else None
-
-
-def _sent(own: Sequence[tuple[FaultBlock, int]], uav_id: int, message: Stamped) -> Stamped:
-    stamp_ns, values = message
-    for fault, t0_ns in own:
-        if strikes(fault, "nan", uav_id, message.stamp_ns, t0_ns):
+        stamp_ns, values = message
+        if self._striking("nan", stamp_ns):
             values = without_position(values)
-        elif strikes(fault, "clock_offset", uav_id, message.stamp_ns, t0_ns):
-            stamp_ns += nanoseconds(fault.offset_s or 0.0)
-    return Stamped(stamp_ns, values)
+        shifts = self._striking("clock_offset", stamp_ns)
+        return Stamped(stamp_ns + sum(nanoseconds(one.offset_s or 0.0) for one in shifts), values)
+
+    def _striking(self, kind: str, now_ns: int) -> list[FaultBlock]:
+        spans = self._spans
+        return [
+            fault for fault, since, end in spans if fault.kind == kind and since <= now_ns < end
+        ]
 
 
 class FlownStep(NamedTuple):
@@ -392,7 +350,7 @@ class UavFlight:
         plugins = UavPlugins.of(scenario, uav_id)
         self.controller = UavController(scenario, uav_id, edges, plugins)
         self.inbox = self.controller.inbox
-        self.faults = UavFaults(scenario, uav_id, self.inbox, edges.options.lockstep)
+        self.faults = UavFaults(scenario, uav_id, lockstep=edges.options.lockstep)
         self.decided = DecidedSlots(scenario) if scenario.formation.has_open_slots else None
         self.decider: SlotDecider | None = None  # of the leader, where slots are open
         # A bridge brings its vehicle to the start before the first leg.
@@ -417,6 +375,7 @@ class UavFlight:
         is_new = self.epochs.announce(leg.stamp_ns, leg.frame_id)
         if self.epochs.first_t0_ns is not None:
             self.faults.begin(self.epochs.first_t0_ns)
+            self.inbox.begin(self.epochs.first_t0_ns)
         return is_new
 
     def take_lost(self, process: LostProcess) -> None:

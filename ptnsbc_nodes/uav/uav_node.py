@@ -239,6 +239,4 @@ class UavNode:
             **controller.counters.values(),
             **self.endpoints.refusals.values(),
         }
-        if flight.faults.injected:
-            values["injected"] = "; ".join(flight.faults.injected)
         self._status.publish(stamp_ns, safety.level, safety.reason, values)

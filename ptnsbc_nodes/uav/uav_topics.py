@@ -11,7 +11,7 @@ from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.wire import OdometryDecoder, OdometryTemplate, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, body_frame
-from ptnsbc_nodes.comm.announcements import Decision, decode_lost, encode_slots, fault_decoder
+from ptnsbc_nodes.comm.announcements import Decision, decode_lost, encode_slots
 from ptnsbc_nodes.comm.door import RealTimeStamps, RefusedMessage, in_lockstep, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -43,13 +43,6 @@ class Subscriptions:
         endpoints.listen(topics.near(flight.uav), near, flight.take_near, required=clock.lockstep)
         self._hear_neighbours()
         endpoints.listen(topics.LOST, decode_lost, flight.take_lost, required=False)
-        if flight.faults.allowed:
-            endpoints.listen(
-                topics.FAULT,
-                fault_decoder(flight.scenario.uav_ids),
-                lambda order: flight.faults.take(order, clock.now_ns()),
-                required=False,
-            )
         if flight.decided is not None:
             endpoints.listen(topics.SLOTS, flight.decided.decode, flight.decided.keep)
             if flight.uav == flight.scenario.leader.id:
@@ -119,8 +112,7 @@ class Outbox:
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
         uav, recorders = flight.uav, edges.options.recorders
-        sent = flight.faults.sent if flight.faults.allowed else None
-        self._messages = AgentMessages(uav, endpoints.fleet, sent)
+        self._messages = AgentMessages(uav, endpoints.fleet, flight.faults.sent)
         self._send_wrench, self._send_state, self._send_estimate, self._send_velocity = (
             endpoints.publisher(topic, edges.readers(topic))
             for topic in (

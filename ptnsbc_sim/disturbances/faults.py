@@ -61,14 +61,6 @@ def message_faults(scenario: Scenario, t0_ns: int = 0) -> tuple[MessageFault, ..
     return tuple(one for one in found if one is not None)
 
 
-def strikes(fault: FaultBlock, kind: str, uav_id: int, now_ns: int, t0_ns: int = 0) -> bool:
-    """True if a fault of this kind strikes this UAV at `now_ns`; its time counts from `t0_ns`."""
-    if fault.kind != kind or fault.struck_uav != uav_id:
-        return False
-    start_ns, end_ns = fault.window_ns(t0_ns)
-    return start_ns <= now_ns < end_ns
-
-
 def without_position(values: Array) -> Array:
     """A state (13,) whose position is no number, as a UAV with the fault `nan` sends it."""
     broken = values.copy()

@@ -421,8 +421,7 @@ class ScenarioFile(Block):
     """`signed`: processes take only messages that carry the seal of the fleet. `required`: no process starts without
     DDS Security. See [security.md](security.md)."""
     faults: Annotated[tuple[FaultBlock, ...], Field(max_length=200)] | None = None
-    """Faults that are injected, see [faults.md](faults.md#injection). A fleet takes `ptnsbc inject` only with this key;
-    an empty list will do. Default: none, and `ptnsbc inject` is refused."""
+    """Faults that are injected, see [faults.md](faults.md#injection). Default: none."""
     timing: Timing
     world: Surroundings = Surroundings()
     sensor: Sensor

@@ -34,6 +34,7 @@ _TYPES = {
     "model_type": "a mapping of keys",
     "model_attributes_type": "a mapping of keys",
 }
+_STAND_INS = "; those of flight controllers are for stand-ins: `ptnsbc autopilot --fault`"
 _LONGEST_VALUE = 60
 _MOST_KEYS = 3
 
@@ -137,7 +138,8 @@ def _expectation(kind: str, first: str, last: str, detail: ErrorDetails) -> str:
     if kind in ("literal_error", "union_tag_invalid"):
         names = str(context.get("expected", context.get("expected_tags", "")))
         words = [word.strip(" '") for word in names.replace(" or ", ",").split(",")]
-        return similar(detail["input"], words)
+        way_out = _STAND_INS if (first, last) == ("faults", "kind") else ""
+        return similar(detail["input"], words) + way_out
     return " ".join(str(detail["msg"]).split())
 
 

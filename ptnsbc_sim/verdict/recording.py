@@ -247,8 +247,7 @@ class Recording:
     leg: int = 0  # which of the formation legs is judged
     # slot of every UAV by the epoch [ns] that decided it; empty where every UAV has its own
     slots: Mapping[int, Mapping[int, int]] = field(default_factory=dict)
-    # faults of an operator, in words; those of the scenario are in it
-    injected: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # what was damaged, in words
     window_s: float | None = None  # judge only so many seconds after its epoch
     sources: Mapping[int, str] = field(default_factory=dict)  # topic of the odometry by UAV
 

@@ -191,7 +191,7 @@ class Verdict:
     latency_ms: dict[str, float]
     legs: tuple[LegVerdict, ...]  # all formation legs; the figures above are of the first
     mission: tuple[MissionLegVerdict, ...]  # the legs of the mission; empty without one
-    faults: tuple[str, ...]  # that were injected, in words
+    faults: tuple[str, ...]  # of the scenario, and what was damaged, in words
 
     @property
     def verdict(self) -> str:
@@ -292,7 +292,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         latency_ms=dict(recording.latency),
         legs=tuple(legs),
         mission=_mission_legs(recording, legs, [p for part in parts for p in part], tolerance),
-        faults=(*(fault.text for fault in (scenario.faults or ())), *recording.injected),
+        faults=(*(fault.text for fault in (scenario.faults or ())), *recording.left_out),
     )
 
 

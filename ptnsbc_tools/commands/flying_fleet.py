@@ -1,15 +1,13 @@
-"""Commands to a fleet that flies: `ptnsbc mission`, `ptnsbc inject`, `ptnsbc view` and `ptnsbc stop`."""
+"""Commands to a fleet that flies: `ptnsbc mission`, `ptnsbc view` and `ptnsbc stop`."""
 
 from __future__ import annotations
 
 import json as json_text
 import os
-import re
 import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,17 +30,16 @@ from ptnsbc_tools.options import (
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-    from ptnsbc_nodes.fleet.fleet_node import FleetNode, LauncherNode
-    from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
+    from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 
-_ANSWER_S, _LISTENERS_S = 5.0, 15.0
+_ANSWER_S = 5.0
 _HEALTH_S = 10.0  # for discovery, and two statuses
 _SERVICE_S = 3.0
 _LEADER_S = 6.0  # to be found on a busy machine: nothing waits for it
 _DISCOVERY_S = 3.0
 _MISSING = 1
 _LOOK_S = 0.02
-_FIRST, _LOOKS = "1", "looking for the fleet"
+_FIRST = "1"
 _FLEETS = {"start": "", "arm": " that waits for its operator (ptnsbc fleet --wait)"}
 _FLYING = " that flies a scenario with the key mission"
 
@@ -100,9 +97,14 @@ def arm(domain: FlyingDomainOption = None, namespace: NamespaceOption = "") -> N
 def _answer(service: str, domain: int | None, namespace: str) -> str:
     """The answer of the leader; PtnsbcError when no fleet with a mission is there, or it refuses."""
     number = _flying_domain(domain)
-    with _fleet_node(number, "mission", namespace) as node, console.patience(_LOOKS):
-        from ptnsbc_nodes.fleet.fleet_node import LeaderClient
-
+    with ros.required():
+        from ptnsbc_nodes.comm.seal import operators_seal
+        from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
+    name = f"mission_{os.getpid()}"
+    with (
+        FleetNode(number, name, namespace, seal=operators_seal()) as node,
+        console.patience("looking for the fleet"),
+    ):
         answer = LeaderClient(node).ask(service, _ANSWER_S)
     if answer.accepted:
         return answer.message
@@ -113,132 +115,6 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
             "choose another by --domain N or --namespace NAME"
         )
     raise PtnsbcError(f"domain {number}: {reason}")
-
-
-def _fleet_node(domain: int, name: str, namespace: str) -> FleetNode:
-    with ros.required():
-        from ptnsbc_nodes.comm.seal import operators_seal
-        from ptnsbc_nodes.fleet.fleet_node import FleetNode
-    return FleetNode(domain, f"{name}_{os.getpid()}", namespace, seal=operators_seal())
-
-
-KINDS = (
-    "silence", "loss", "delay", "nan", "jump", "kill", "freeze", "restart", "clock_offset", "disk_full",
-    "battery", "gps_off",
-)  # fmt: skip
-"""The names in FAULTS, here too: --help does without the package of scenarios."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """The keys of a fault, as options."""
-
-    kind: Annotated[str, argument("FAULT", f"One of {', '.join(KINDS)}.")]
-    uav: Annotated[int | None, option("--uav N", "UAV that it strikes.")] = None
-    process: Annotated[
-        str | None, option("--process NAME", "Process: uavN, bridgeN, sim, recorder.")
-    ] = None
-    duration_s: Annotated[
-        float | None, option("--duration S", "How long. Default: to the end of the flight.")
-    ] = None
-    share: Annotated[float | None, option("--share SHARE", "loss: fraction of the messages.")] = (
-        None
-    )
-    delay_s: Annotated[float | None, option("--delay S", "delay: how late.")] = None
-    offset_m: Annotated[
-        tuple[float, float, float] | None,
-        option("--offset X Y Z", "jump: offset of the position in metres, ENU."),
-    ] = None
-    offset_s: Annotated[float | None, option("--clock S", "clock_offset: added to the stamps.")] = (
-        None
-    )
-    charge: Annotated[
-        float | None, option("--charge SHARE", "battery: charge of a stand-in, 0 to 1.")
-    ] = None
-
-    def block(self) -> FaultBlock:
-        """The fault as a scenario has it; PtnsbcError when the options do not go together."""
-        from pydantic import ValidationError
-
-        from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock, fault_problems
-        from ptnsbc_sim.scenario.problems import scenario_error
-
-        if self.kind not in KINDS:
-            raise PtnsbcError(f"fault {self.kind}: expected one of {', '.join(KINDS)}")
-        keys = {key: value for key, value in vars(self).items() if value is not None}
-        if self.offset_m is not None:
-            keys["offset_m"] = list(self.offset_m)
-        try:
-            fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
-        except ValidationError as error:
-            raise PtnsbcError(_in_options(str(scenario_error("inject", error, keys)))) from None
-        uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
-        bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
-        for problem in fault_problems(fault, [*uavs, *bridges]):
-            raise PtnsbcError(_in_options(str(problem)))
-        return fault
-
-
-_OPTIONS = {one.name: f"--{one.name.partition('_')[0]}" for one in fields(Fault)[1:]}
-_OPTIONS["offset_s"] = "--clock"
-
-
-def _in_options(problem: str) -> str:
-    """A problem with the options in place of the keys of a scenario."""
-    return re.sub(rf"\b({'|'.join(_OPTIONS)})\b", lambda key: _OPTIONS[key[0]], problem)
-
-
-def inject(
-    fault: Fault,
-    control: Annotated[
-        int | None,
-        option(
-            "--control PORT", "battery, gps_off: port of `ptnsbc autopilot --control`.", 1, 65535
-        ),
-    ] = None,
-    domain: FlyingDomainOption = None,
-    namespace: NamespaceOption = "",
-) -> None:
-    """Inject a fault into a running fleet, to see what it does.
-
-    The fleet must fly a scenario with the key `faults`; an empty list will do. The fault begins when
-    the fleet hears of it. docs/faults.md lists the kinds.
-    """
-    from ptnsbc_sim.scenario.mission.fault_rules import AUTOPILOT
-
-    block = fault.block()
-    shown = block.text.replace(" at 0 s", "")
-    if block.rule.strikes == AUTOPILOT:
-        _strike_stand_in(block, control)
-        console.say(f"injected: {shown}")
-        return
-    if not block.rule.live:
-        raise PtnsbcError(f"{block.kind}: expected it under faults in the scenario")
-    number = _flying_domain(domain)
-    with _fleet_node(number, "inject", namespace) as node, console.patience(_LOOKS):
-        from ptnsbc_nodes.fleet.fault_injector import announce_fault
-
-        listeners = announce_fault(node, block, _LISTENERS_S)
-    if not listeners:
-        raise PtnsbcError(
-            f"domain {number}: nobody takes faults: expected a fleet there whose scenario has the key "
-            "faults; an empty list will do"
-        )
-    console.say(f"injected: {shown}; {listeners} processes listened")
-
-
-def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
-    """Tell a stand-in, whose system id is the number of its UAV unless the scenario says otherwise."""
-    from ptnsbc_autopilot.fault_lines import send_fault
-
-    if control is None:
-        raise PtnsbcError(
-            f"{fault.kind}: expected --control PORT, as of `ptnsbc autopilot --control PORT`"
-        )
-    if fault.duration_s is not None:
-        raise PtnsbcError(f"--duration {fault.duration_s:g}: a stand-in takes none: remove it")
-    what = f"battery {fault.charge}" if fault.kind == "battery" else "gps off"
-    send_fault(control, f"{fault.uav} {what}")
 
 
 def view(

@@ -40,8 +40,6 @@ _LINK = re.compile(r"bridge([0-9]{1,3}): link")
 _STATES_SENT = re.compile(r"([0-9]{1,19}) ([1-9][0-9]{0,14})")  # stamp [ns], number of messages
 _LAST_NS = 2**63 - 1
 _SIM = "sim: world"
-_INJECTED = re.compile(r"[a-z_]+ of [a-z0-9]+[ -~]{0,80}")  # a fault, in words
-_MOST_INJECTED = 200
 _LATENCY = re.compile(r"latency_(\w+)_ms")
 _TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
@@ -81,7 +79,6 @@ class DiagnosticCounters:
 
     def __init__(self, file: SampleFile) -> None:
         self.latency: dict[str, float] = {}
-        self.injected: dict[str, None] = {}  # faults of an operator, in the order of the first word
         self.counters = TrackWriters[int](file)  # `COUNTERS` of each UAV
         self.sent = TrackWriters[int](file)
         """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
@@ -90,9 +87,6 @@ class DiagnosticCounters:
         """Take an array of diagnostics."""
         for status in array.statuses:
             if planner := _PLANNER.fullmatch(status.name):
-                for text in filter(None, status.values.get("injected", "").split("; ")):
-                    if _INJECTED.fullmatch(text) and len(self.injected) < _MOST_INJECTED:
-                        self.injected.setdefault(text)
                 if array.stamp_ns >= 0:
                     values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
                     self.counters.add(int(planner[1]), array.stamp_ns, values)
@@ -180,7 +174,7 @@ class _Collector:
         self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
-        self._damaged = 0  # statuses that cannot be read
+        self.left_out: list[str] = []  # in words
         self._samples = TrackWriters[tuple[str, int]](file)  # by field of `Recording`, by UAV
         self._decoders: dict[str, list[tuple[tuple[str, int], Decoder]]] = defaultdict(list)
         self.sources = state_readers(options, scenario)
@@ -203,16 +197,16 @@ class _Collector:
     def collect(self, bag: Bag) -> None:
         common = (topics.EPOCH, topics.SLOTS, topics.TAKEN, topics.DIAGNOSTICS)
         names = [*self._decoders, *(topic.name for topic in common)]
+        damaged = 0
         for message in bag.messages([name for name in names if name in bag.topics]):
             try:
                 self._add(message)
             except WireError as error:
                 if message.topic != topics.DIAGNOSTICS.name:  # on which anybody may publish
                     raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
-                self._damaged += 1
-        if self._damaged:
-            shown = f"{self._damaged} damaged on {topics.DIAGNOSTICS.name}, left out"
-            self.counters.injected[shown] = None
+                damaged += 1
+        if damaged:
+            self.left_out.append(f"{damaged} damaged on {topics.DIAGNOSTICS.name}, left out")
         self._tracks = self._samples.tracks()
 
     def _add(self, message: BagMessage) -> None:
@@ -267,7 +261,7 @@ def read_recording(path: Path, options: ReadOptions = AS_RECORDED) -> Recording:
         epochs=with_landing(scenario, epochs),
         slots=slots,
         latency=collector.counters.latency,
-        injected=tuple(collector.counters.injected),
+        left_out=tuple(collector.left_out),
         window_s=options.window_s,
         sources={uav: source.name for uav, source in collector.sources.items()},
     )

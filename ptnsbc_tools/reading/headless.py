@@ -16,7 +16,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages, Transforms
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.runtime.provenance import provenance
-from ptnsbc_nodes.uav.uav_controller import sent_faults
+from ptnsbc_nodes.uav.uav_controller import UavFaults
 from ptnsbc_sim.counters import UavCounters, status_every
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.swarm import HeadlessFlight
@@ -37,7 +37,9 @@ class _UavMessages:
         self._near_every = flight.swarm.wiring.near_every
         self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
-        self._encoder = AgentMessages(uav, faults=sent_faults(flight.scenario, uav))
+        faults = UavFaults(flight.scenario, uav)
+        faults.begin(0)
+        self._encoder = AgentMessages(uav, faults=faults.sent)
         self._gone = gone(flight.scenario)[:, row]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:

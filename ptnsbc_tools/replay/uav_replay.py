@@ -36,7 +36,7 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
-from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, sent_faults
+from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, UavFaults
 from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import PlannerLimits
@@ -381,8 +381,9 @@ class UavReplay:
         self.account.steps += 1
         if at.first_t0_ns != self._t0_ns:
             self._t0_ns = at.first_t0_ns
-            faults = sent_faults(self._scenario, self.uav, at.first_t0_ns)
-            self._encoder = AgentMessages(self.uav, self._fleet, faults)
+            faults = UavFaults(self._scenario, self.uav)
+            faults.begin(at.first_t0_ns)
+            self._encoder = AgentMessages(self.uav, self._fleet, faults.sent)
         if self.next_step is not None:
             self.next_step += 1
         return self.controller.step(at, cutoff_ns)

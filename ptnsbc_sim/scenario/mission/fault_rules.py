@@ -1,7 +1,7 @@
 """Faults that a scenario injects: what, whose, when and for how long. Sorted by what they strike.
 
 A fault begins at a mission time, counted from the first epoch. The tables of this module say which keys a kind takes,
-and where it can be injected; the checks, the documentation and `ptnsbc inject` read them.
+and where it can be injected; the checks and the documentation read them.
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ FaultKind = Literal[
     "restart",
     "clock_offset",
     "disk_full",
-    "battery",
-    "gps_off",
 ]
 MOST_DELAY_S = 1.0
 """Largest `delay_s` of a fault."""
@@ -38,8 +36,7 @@ NEVER_NS = 2**62
 _RESTART_NS = 2_000_000_000
 """Time that a process takes to start [ns]: so long is a UAV gone that is restarted at once."""
 
-MESSAGES, POSITION, PROCESS = "messages", "position", "process"
-RECORDER, AUTOPILOT = "recorder", "autopilot"
+MESSAGES, POSITION, PROCESS, RECORDER = "messages", "position", "process", "recorder"
 
 
 class FaultRule(NamedTuple):
@@ -51,7 +48,6 @@ class FaultRule(NamedTuple):
     lasts: bool = True  # whether it takes `duration_s`
     headless: bool = False  # whether a headless flight models it
     lockstep: bool = True  # whether a fleet in lock-step can inject it
-    live: bool = True  # whether `ptnsbc inject` can send it to the processes of a fleet
 
 
 FAULTS: Mapping[str, FaultRule] = {
@@ -68,7 +64,6 @@ FAULTS: Mapping[str, FaultRule] = {
         "the UAV measures its position with an offset",
         "offset_m",
         headless=True,
-        live=False,
     ),
     "kill": FaultRule(
         PROCESS, "SIGKILL; the vehicle of a UAV stays in place", lasts=False, headless=True
@@ -84,17 +79,6 @@ FAULTS: Mapping[str, FaultRule] = {
     ),
     "disk_full": FaultRule(
         RECORDER, "the recorder cannot write any more", lasts=False, lockstep=False
-    ),
-    "battery": FaultRule(
-        AUTOPILOT,
-        "a stand-in's battery has this charge",
-        "charge",
-        lasts=False,
-        lockstep=False,
-        live=False,
-    ),
-    "gps_off": FaultRule(
-        AUTOPILOT, "a stand-in has no satellite fixes", lockstep=False, live=False
     ),
 }
 """The effect of each kind of fault, and the keys that it takes."""
@@ -127,8 +111,6 @@ class FaultBlock(Block):
     """`jump`: offset of the measured position, ENU."""
     offset_s: Annotated[Number, Field(ge=-60, le=60)] | None = None
     """`clock_offset`: what is added to the stamps."""
-    charge: Annotated[Number, Field(ge=0, le=1)] | None = None
-    """`battery`: charge, 0 to 1."""
 
     @property
     def rule(self) -> FaultRule:

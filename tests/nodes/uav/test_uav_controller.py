@@ -25,13 +25,11 @@ from ptnsbc_nodes.uav.uav_controller import (
     UavFaults,
     UavFlight,
     at_epoch,
-    sent_faults,
     step_time,
 )
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import leader_trajectory
-from ptnsbc_sim.scenario.mission.fault_rules import FaultBlock
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.world import World
 
@@ -338,8 +336,12 @@ MANY = [
 
 def faults_of(uav, faults, *, lockstep=False):
     scenario = load_scenario("paper_5", {"faults": faults, "timing.duration_s": 2.5})
-    inbox = Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav))
-    return UavFaults(scenario, uav, inbox, lockstep), inbox
+    return UavFaults(scenario, uav, lockstep=lockstep)
+
+
+def inbox_of(uav, faults):
+    scenario = load_scenario("paper_5", {"faults": faults, "timing.duration_s": 2.5})
+    return Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav))
 
 
 @pytest.fixture
@@ -356,9 +358,9 @@ def state(stamp_ns: int) -> Stamped:
 
 def test_a_process_receives_what_the_headless_flight_receives():
     """In lock-step the two must not differ by one message."""
-    faults, inbox = faults_of(3, MANY, lockstep=True)
+    inbox = inbox_of(3, MANY)
     scenario = load_scenario("paper_5", {"faults": MANY, "timing.duration_s": 2.5})
-    faults.begin(0)
+    inbox.begin(0)
     expected, dt_ns = last_state_received(scenario, 3, 2), scenario.timing.dt_ns
     for tick in range(scenario.timing.ticks):
         inbox.state_queues[2].put(state(tick * dt_ns))
@@ -367,11 +369,11 @@ def test_a_process_receives_what_the_headless_flight_receives():
 
 
 def test_faults_count_from_the_first_epoch_and_only_once():
-    faults, inbox = faults_of(3, [{"kind": "silence", "uav": 2, "at_s": 1}])
+    inbox = inbox_of(3, [{"kind": "silence", "uav": 2, "at_s": 1}])
     before, after = EPOCH_NS + 990_000_000, EPOCH_NS + 1_010_000_000
     inbox.state_queues[2].put(state(2_000_000_000))  # before the epoch nothing is struck
-    faults.begin(EPOCH_NS)
-    faults.begin(EPOCH_NS - 1_000_000_000)  # another leg
+    inbox.begin(EPOCH_NS)
+    inbox.begin(EPOCH_NS - 1_000_000_000)  # another leg
     inbox.state_queues[2].put(state(before))
     inbox.state_queues[2].put(state(after))
     assert inbox.state_queues[2].before(2**62, 2**62).stamp_ns == before
@@ -379,7 +381,7 @@ def test_faults_count_from_the_first_epoch_and_only_once():
 
 
 def test_in_lockstep_a_uav_ends_itself_at_its_tick(killed):
-    faults, _ = faults_of(2, [{"kind": "kill", "uav": 2, "at_s": 1}], lockstep=True)
+    faults = faults_of(2, [{"kind": "kill", "uav": 2, "at_s": 1}], lockstep=True)
     faults.begin(0)
     faults.strike(990_000_000)
     assert killed == []
@@ -390,7 +392,7 @@ def test_in_lockstep_a_uav_ends_itself_at_its_tick(killed):
 @pytest.mark.parametrize(("uav", "lockstep"), [(2, False), (3, True)])
 def test_in_real_time_the_launcher_kills_and_nobody_ends_for_another(killed, uav, lockstep):
     fault = [{"kind": "kill", "uav": 2, "at_s": 1}]
-    faults, _ = faults_of(uav, fault, lockstep=lockstep)
+    faults = faults_of(uav, fault, lockstep=lockstep)
     faults.begin(0)
     faults.strike(2_000_000_000)
     assert killed == []
@@ -401,34 +403,15 @@ def test_what_a_uav_sends_is_struck_within_the_time_of_the_fault():
         {"kind": "nan", "uav": 2, "at_s": 1, "duration_s": 1},
         {"kind": "clock_offset", "uav": 2, "at_s": 1.5, "duration_s": 1, "offset_s": -0.25},
     ]
-    faults, _ = faults_of(2, both)
+    faults = faults_of(2, both)
     assert faults.sent(state(EPOCH_NS)).values.all()
     faults.begin(EPOCH_NS)
     found = [faults.sent(state(EPOCH_NS + t)) for t in (0, 1_000_000_000, 1_600_000_000)]
     assert [np.isnan(one.values[:3]).all() for one in found] == [False, True, True]
     assert found[2].stamp_ns == EPOCH_NS + 1_350_000_000
     assert np.isfinite(faults.sent(state(EPOCH_NS + 2_000_000_000)).values).all()
-    again = sent_faults(load_scenario("paper_5", {"faults": both}), 2, EPOCH_NS)
-    assert again(state(EPOCH_NS + 1_600_000_000)).stamp_ns == found[2].stamp_ns
-    assert sent_faults(load_scenario("paper_5", {"faults": both}), 3) is None
-
-
-def test_an_operators_fault_begins_now_and_is_remembered_in_words():
-    faults, inbox = faults_of(3, [])
-    faults.begin(EPOCH_NS)
-    now_ns = EPOCH_NS + 12_340_000_000
-    fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0, "duration_s": 1})
-    faults.inject(fault, now_ns)
-    inbox.state_queues[2].put(state(now_ns + 10_000_000))
-    assert inbox.state_queues[2].before(2**62, 2**62) is None
-    inbox.state_queues[2].put(state(now_ns + 1_010_000_000))
-    assert inbox.state_queues[2].before(2**62, 2**62) is not None
-    assert faults.injected == ["silence of uav2 at 12.3 s for 1 s"]
-
-
-def test_what_is_remembered_is_limited():
-    faults, _ = faults_of(3, [])
-    fault = FaultBlock.model_validate({"kind": "silence", "uav": 2, "at_s": 0})
-    for _ in range(100):
-        faults.inject(fault, 0)
-    assert len(faults.injected) == 20
+    other = faults_of(3, both)
+    other.begin(EPOCH_NS)
+    sound = state(EPOCH_NS + 1_600_000_000)
+    assert other.sent(sound).stamp_ns == sound.stamp_ns
+    assert other.sent(sound).values.tobytes() == sound.values.tobytes()

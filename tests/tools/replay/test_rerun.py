@@ -145,7 +145,7 @@ def test_damaged_statuses_are_left_out_and_named(scenario, headless, rewritten):
     path = rewritten(headless, change)
     assert rerun(read_bag(path), scenario).verdict == rerun(read_bag(headless), scenario).verdict
     whole, damaged = read_recording(headless), read_recording(path)
-    assert damaged.injected == ("2 damaged on /diagnostics, left out",)
+    assert damaged.left_out == ("2 damaged on /diagnostics, left out",)
     assert {uav: track.size for uav, track in damaged.counters.items()} == {
         uav: track.size for uav, track in whole.counters.items()
     }
