@@ -55,13 +55,11 @@ class ProcessCommand:
     ends: bool = False  # by itself, with 0, when the flight is over
     beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
-    def within(self, namespace: str, *, secured: bool = False) -> ProcessCommand:
-        """The same process with its node in the namespace of a fleet, and with its own identity of DDS Security."""
+    def within(self, namespace: str) -> ProcessCommand:
+        """The same process with its node in the namespace of a fleet."""
         words: list[str] = []
         if namespace and len(self.uavs) < 2:
             words += ["-r", f"__ns:={namespace}" + "".join(f"/uav{uav}" for uav in self.uavs)]
-        if secured:
-            words += ["--enclave", f"{namespace}/{self.name}"]
         # A remapping of ROS would move all nodes of several UAVs into one namespace.
         own = ["--fleet", namespace] if namespace and len(self.uavs) > 1 else []
         ros = ["--ros-args", *words] if words else []
@@ -184,8 +182,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     if not bridged:
         listed.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
     here = [one for one in listed if one.beside or not options.only or one.name in options.only]
-    secured = scenario.security == "required"
-    return [command.within(options.namespace, secured=secured) for command in here]
+    return [command.within(options.namespace) for command in here]
 
 
 def names(scenario: Scenario, backend: str) -> list[str]:

@@ -40,8 +40,6 @@ from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
-from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
-from ptnsbc_nodes.security.policy import FLEET, OPERATOR
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.fault_rules import PROCESS
@@ -89,10 +87,6 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         BagError: the bag cannot take the place of what is there.
     """
     prepare(options)
-    secured = options.scenario.security == "required"
-    if secured:
-        os.environ.update(enforced(os.environ))
-        os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     scenario_file = log_dir / "scenario.yaml"
     with replacing(scenario_file, folder=True) as part:
@@ -113,16 +107,14 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         say(f"domain {domain}, logs in {log_dir}")
         stack.enter_context(_listed(options, domain, say))
         if options.beside is not None:
-            of_operator = {ENCLAVE: f"{options.namespace}/{OPERATOR}"} if secured else {}
-            stack.enter_context(options.beside({**settings, **of_operator}, scenario_file))
+            stack.enter_context(options.beside(settings, scenario_file))
         node = stack.enter_context(
             LauncherNode(
                 domain,
                 # Launchers on other computers have other names.
                 "fleet" if options.leads else f"fleet_{min(options.only)}",
                 options.namespace,
-                ("--ros-args", "--enclave", f"{options.namespace}/{FLEET}") if secured else (),
-                seal_of(options.scenario),
+                seal=seal_of(options.scenario),
                 shared=options.shared,
                 leads=options.leads,
             )
@@ -255,8 +247,6 @@ def _objections_to_processes(options: FleetOptions) -> Iterator[str]:
     if count is None or count == most:
         return
     named, without = f"--processes {count}", "expected no --processes"
-    if options.scenario.security == "required":
-        yield f"{named}: with security: required each UAV has an identity of its own: {without}"
     if not 1 <= count <= most:
         yield f"{named}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"
     if options.backend == "mavlink" or options.shared:

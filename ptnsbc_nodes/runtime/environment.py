@@ -17,7 +17,6 @@ from pathlib import Path
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_nodes.runtime.launcher import PARENT, stay_with_launcher
-from ptnsbc_nodes.security.middleware import DdsSecurityError, lacks_security
 
 NETWORK = "PTNSBC_NETWORK"
 """A Fast DDS profile (`ptnsbc network`): the fleet then flies over the network that it describes."""
@@ -41,10 +40,27 @@ _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 _LOADS = "get_rmw_implementation_identifier"
 _REFUSAL_S = 0.2  # in which a host says that nobody has a port
+_LIBRARY = "librmw_fastrtps_shared_cpp.so"
+_WITHOUT = (
+    b"have the security libraries"  # what a library that was built without DDS Security would say
+)
 
 
 class DomainError(PtnsbcError):
     """No usable ROS domain."""
+
+
+class DdsSecurityError(PtnsbcError):
+    """DDS Security was asked for, and cannot be had."""
+
+
+def lacks_security() -> bool:
+    """True if the installed rmw_fastrtps was built without DDS Security; False also for another middleware."""
+    folders = [*map(Path, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep))]
+    for prefix in (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix):
+        folders.append(Path(prefix) / "lib")
+    found = next((path for folder in folders if (path := folder / _LIBRARY).is_file()), None)
+    return found is not None and _WITHOUT in found.read_bytes()
 
 
 def prepare() -> None:

@@ -417,9 +417,8 @@ class ScenarioFile(Block):
     """Text for the reader."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
     """Seed of all random numbers, see [below](#chance)."""
-    security: Literal["none", "signed", "required"] = "none"
-    """`signed`: processes take only messages that carry the seal of the fleet. `required`: no process starts without
-    DDS Security. See [security.md](security.md)."""
+    security: Literal["none", "signed"] = "none"
+    """`signed`: processes take only messages that carry the seal of the fleet, see [security.md](security.md)."""
     faults: Annotated[tuple[FaultBlock, ...], Field(max_length=200)] | None = None
     """Faults that are injected, see [faults.md](faults.md#injection). Default: none."""
     timing: Timing

@@ -1,4 +1,4 @@
-"""`ptnsbc network`: a fleet on several computers: discovery, key, policy, single processes."""
+"""`ptnsbc network`: a fleet on several computers: discovery, key, single processes."""
 
 from __future__ import annotations
 
@@ -14,19 +14,15 @@ import typer
 from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import (
-    NamespaceOption,
-    ScenarioArgument,
-    SetOption,
     argument,
     group,
     option,
-    scenario_with,
 )
 
 _OutputOption = Annotated[
     Path | None, option("--output -o FILE", "Write into this file and not to stdout.")
 ]
-network = group("A fleet on several computers: profiles for --network, key, policy, processes.")
+network = group("A fleet on several computers: profiles for --network, key, processes.")
 
 
 @network.command(
@@ -72,31 +68,6 @@ def key(
     path = file or key_file()
     new_key(path)
     console.say(f"key: {path}")
-
-
-@network.command()
-def policy(
-    scenario: ScenarioArgument,
-    backend: Annotated[
-        Literal["sim", "mavlink"], option("--backend", "What flies the vehicles.")
-    ] = "sim",
-    namespace: NamespaceOption = "",
-    settings: SetOption = None,
-) -> None:
-    """Print a policy of sros2: each process may use the edges of the scenario, and no more.
-
-    `ros2 security generate_artifacts -k KEYSTORE -p POLICY` makes a keystore of it, for the ROS domain of its
-    environment. `security: required` flies with it.
-    """
-    with ros.required():
-        from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-        from ptnsbc_nodes.security.policy import enclaves
-        from ptnsbc_nodes.security.policy import policy as policy_of
-    from ptnsbc_sim.scenario.reading.reader import set_keys
-
-    flown = scenario_with(scenario, set_keys(settings or ()))
-    edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
-    typer.echo(policy_of(enclaves(flown, edges, backend), namespace), nl=False)
 
 
 _SERVER = "fast-discovery-server"

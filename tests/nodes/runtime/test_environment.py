@@ -11,7 +11,6 @@ import pytest
 
 from ptnsbc_nodes.runtime import dds_profiles, environment, launcher
 from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
-from ptnsbc_nodes.security.middleware import DdsSecurityError
 
 
 @pytest.fixture
@@ -191,7 +190,7 @@ def test_dds_security_without_a_middleware_that_has_it_is_refused(monkeypatch, s
     monkeypatch.setattr(environment, "lacks_security", lambda: True)
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-    with pytest.raises(DdsSecurityError, match="built without DDS Security"):
+    with pytest.raises(environment.DdsSecurityError, match="built without DDS Security"):
         environment.prepare()
 
 

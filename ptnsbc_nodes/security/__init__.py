@@ -1,1 +1,0 @@
-"""DDS Security of a fleet: what each process may publish and read, and whether the middleware has it."""
