@@ -91,7 +91,7 @@ UBUNTU = {
 }
 """The rosdep keys of modules that Ubuntu 24.04 has; all other names are packages of ROS, or in the lock."""
 IN_THE_LOCK = {
-    "arro3", "distributed", "llvmlite", "lz4", "mcap", "numba", "pyarrow", "pydantic",
+    "arro3", "cmaes", "distributed", "laspy", "llvmlite", "lz4", "mcap", "numba", "pyarrow", "pydantic",
     "pydantic_core", "pymavlink", "rich", "rosbags", "typer", "websockets", "zstandard",
 }  # fmt: skip
 
