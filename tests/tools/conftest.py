@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from synthetic_flights import counters, flight, thinned
 
-from ptnsbc_io.bag import BagMessage, BagWriter, declare, read_bag
+from ptnsbc_io.bag import BagMessage, BagWriter, TopicDeclaration, declare, read_bag
 from ptnsbc_io.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
@@ -168,10 +168,11 @@ def realtime(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def rewritten(tmp_path: Path) -> Callable[[Path, Change], Path]:
     """A bag whose messages went through a function: changed, dropped, doubled."""
 
-    def rewrite(path: Path, change: Change) -> Path:
+    def rewrite(path: Path, change: Change, *more: TopicDeclaration) -> Path:
         new_path = tmp_path / f"changed{len(list(tmp_path.iterdir()))}"
         old = read_bag(path)
         infos = [declare(topic.name, topic.type) for topic in old.topics.values()]
+        infos += more
         attachments = {name: old.attachment(name) for name in old.attachments}
         with BagWriter(new_path, infos, attachments=attachments) as writer:
             for message in old.messages():

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_io.bag import BagError, BagMessage, read_bag
-from ptnsbc_io.wire import decode_integers, peek_stamp
+from ptnsbc_io.bag import BagError, BagMessage, declare, read_bag
+from ptnsbc_io.wire import HeaderTemplate, decode_integers, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
 from ptnsbc_nodes.uav.step_log import tick_note
@@ -149,6 +149,20 @@ def test_damaged_statuses_are_left_out_and_named(scenario, headless, rewritten):
     assert {uav: track.size for uav, track in damaged.counters.items()} == {
         uav: track.size for uav, track in whole.counters.items()
     }
+
+
+def test_a_topic_that_nobody_knows_is_passed_over(scenario, headless, rewritten):
+    """Bags of earlier versions may hold orders that no fleet takes."""
+    fault = HeaderTemplate('{"kind": "loss", "uav": 2, "share": 0.5}').encode(0)
+
+    def change(message):
+        also = message.topic == "/formation/epoch"
+        return [message, *[message._replace(topic="/formation/fault", data=fault)] * also]
+
+    path = rewritten(headless, change, declare("/formation/fault", "std_msgs/msg/Header"))
+    assert read_bag(path).topics["/formation/fault"].messages == 1
+    assert rerun(read_bag(path), scenario).verdict == rerun(read_bag(headless), scenario).verdict
+    assert read_recording(path).left_out == ()
 
 
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
