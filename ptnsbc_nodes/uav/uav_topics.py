@@ -112,7 +112,7 @@ class Outbox:
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, flight: UavFlight) -> None:
         uav, recorders = flight.uav, edges.options.recorders
-        self._messages = AgentMessages(uav, endpoints.fleet, flight.faults.sent)
+        self._messages = AgentMessages(uav, endpoints.fleet, flight.faults.sending)
         self._send_wrench, self._send_state, self._send_estimate, self._send_velocity = (
             endpoints.publisher(topic, edges.readers(topic))
             for topic in (

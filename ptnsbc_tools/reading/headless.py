@@ -39,7 +39,7 @@ class _UavMessages:
         self._names = [topic.name for topic in topics.of_uav(uav)]
         faults = UavFaults(flight.scenario, uav)
         faults.begin(0)
-        self._encoder = AgentMessages(uav, faults=faults.sent)
+        self._encoder = AgentMessages(uav, faults=faults.sending)
         self._gone = gone(flight.scenario)[:, row]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:

@@ -383,7 +383,7 @@ class UavReplay:
             self._t0_ns = at.first_t0_ns
             faults = UavFaults(self._scenario, self.uav)
             faults.begin(at.first_t0_ns)
-            self._encoder = AgentMessages(self.uav, self._fleet, faults.sent)
+            self._encoder = AgentMessages(self.uav, self._fleet, faults.sending)
         if self.next_step is not None:
             self.next_step += 1
         return self.controller.step(at, cutoff_ns)
