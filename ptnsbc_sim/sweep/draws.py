@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,44 @@ _MOST_POINTS = 10_000  # of a grid: the plan holds each
 _LEAST = 2.0**-54  # a share of 0 would be an infinite normal number
 
 UNIFORM, NORMAL, VALUES = "uniform", "normal", "values"
+
+
+class Coordinates(np.random.Generator):
+    """The numbers of one quantity, the first of them given: each goes through the inverse of its distribution.
+
+    What a rejected place uses beyond those that are given comes from the seed.
+    """
+
+    def __init__(self, shares: Sequence[float], seed: int) -> None:
+        """`shares` (D,) in [0, 1), in the order in which they are asked for."""
+        super().__init__(np.random.PCG64(seed))
+        self._shares, self.used = shares, 0
+
+    def random(self, size: Any = None, *_: Any, **__: Any) -> Any:
+        """Shares, of the shape `size`, or one."""
+        wanted = math.prod(np.atleast_1d(1 if size is None else size))
+        given = self._shares[self.used : self.used + wanted]
+        self.used += int(wanted)
+        found = np.concatenate([given, super().random(wanted - len(given))])
+        return found.reshape(size) if size is not None else float(found[0])
+
+    def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
+        """Numbers from `low` to `high`."""
+        shape = np.broadcast_shapes(np.shape(low), np.shape(high)) or None
+        return low + (np.asarray(high) - low) * self.random(shape if size is None else size)
+
+    def integers(self, low: Any, high: Any = None, *_: Any, **__: Any) -> Any:
+        """One integer from `low`, or 0, to below `high`."""
+        low, high = (0, low) if high is None else (low, high)
+        return int(low + (high - low) * self.random())
+
+    def standard_normal(self, size: Any = None, *_: Any, **__: Any) -> Any:
+        """Normal numbers."""
+        return ndtri(np.maximum(self.random(size), _LEAST))
+
+    def permutation(self, x: Any, *_: Any, **__: Any) -> Any:
+        """The numbers below `x` in another order."""
+        return np.argsort(self.random(x), kind="stable")
 
 
 class SweepError(PtnsbcError):

@@ -1,7 +1,6 @@
 """The flights of a sweep: a base scenario, the keys that vary, and the scenario of each draw.
 
-Draw k is a pure function of the plan and k. It does not depend on the number of draws, of workers or of chunks;
-a Latin hypercube alone is made for its number of draws as a whole.
+Draw k is a pure function of the plan and k. It does not depend on the number of draws, of workers or of chunks.
 """
 
 from __future__ import annotations
@@ -10,15 +9,17 @@ import dataclasses
 import json
 import math
 import zlib
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.types import Array
 from ptnsbc_io.wire import LARGEST_POSITION_M
 from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
@@ -29,6 +30,7 @@ from ptnsbc_sim.scenario.scenario import scenario_of, validated
 from ptnsbc_sim.sweep.draws import (
     FILE,
     FROM_FILE,
+    Coordinates,
     Spacing,
     Starts,
     SweepAxis,
@@ -36,12 +38,13 @@ from ptnsbc_sim.sweep.draws import (
     drawn_places,
     spacing_of,
 )
-from ptnsbc_sim.sweep.family import draw_family, family_from_text
+from ptnsbc_sim.sweep.family import Generator, draw_family, family_from_text
 
 FORMAT = 1
 
 MOST_DRAWS = 10_000_000
 """Flights of a sweep at most."""
+_MEASURED, _MOST_NUMBERS = 64, 128  # draws that tell a layout, and numbers of a quantity in it
 
 Value = float | int | str | bool | None
 """A drawn value as a column of the table holds it."""
@@ -61,8 +64,6 @@ class SweepPlan:
     """Flights of each cell of the grid; of all, when there is no grid."""
     seed: int = 0
     axes: tuple[SweepAxis, ...] = ()
-    latin: bool = False
-    """Draw the ranges from one Latin hypercube over all draws."""
     starts: Starts = FROM_FILE
     family: str = ""
     """Text of a family of scenarios; empty: the base scenario as it is."""
@@ -70,6 +71,10 @@ class SweepPlan:
     """Each flight ends at this time after its start, or with the scenario's duration when that is shorter."""
     check: int = 0
     """Perturbed flights of the dry run before each draw; 0: no dry run."""
+    points: tuple[tuple[float, ...], ...] = ()
+    """A point of the standard normal space for each draw, as a search has found them; empty: random draws."""
+    layout: tuple[tuple[str, int], ...] = ()
+    """The quantities that the coordinates of a point make, in their order, and how many each has."""
     name: str = "sweep"
     source: str = "scenario"
     """The origin of the base scenario, for messages."""
@@ -107,7 +112,8 @@ class SweepPlan:
             raise SweepError(f"plan of another format: expected format {FORMAT}")
         axes = (SweepAxis(**{**axis, "values": tuple(axis["values"])}) for axis in plain["axes"])
         starts = Starts(plain["starts"]["kind"], tuple(plain["starts"]["numbers"]))
-        return cls(**{**plain, "axes": tuple(axes), "starts": starts})
+        listed = {key: tuple(map(tuple, plain[key])) for key in ("points", "layout")}
+        return cls(**{**plain, "axes": tuple(axes), "starts": starts, **listed})
 
 
 def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
@@ -122,70 +128,85 @@ def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
     keys = [axis.key for axis in plan.axes]
     if len(set(keys)) < len(keys):
         raise SweepError(f"vary: a key stands twice: {', '.join(keys)}")
-    if plan.latin and not plan.ranges:
-        raise SweepError("latin: expected an axis with a range, KEY=LO:HI or KEY=MEAN±SIGMA")
     drawn_scenario(plan, 0)
     return plan
 
 
 def generator(plan: SweepPlan, k: int, name: str) -> np.random.Generator:
     """Random numbers of one quantity of draw k, whatever else is drawn."""
-    return random_streams.generator(plan.seed, k, zlib.crc32(name.encode()))
+    word = zlib.crc32(name.encode())
+    if not plan.points:
+        return random_streams.generator(plan.seed, k, word)
+    begin, point = 0, np.array(plan.points[k])
+    for other, count in plan.layout:
+        if other == name:
+            break
+        begin += count
+    else:
+        count = 0
+    return Coordinates(ndtr(point[begin : begin + count]).tolist(), zlib.crc32(point.data, word))
 
 
-@lru_cache(maxsize=4)
-def _design(seed: int, draws: int, width: int) -> Array:
-    """Latin hypercube (draws, width) in [0, 1)."""
-    from scipy.stats import qmc  # late: a second, and few ask for it
+def layout_of(plan: SweepPlan) -> tuple[tuple[str, int], ...]:
+    """The quantities of a draw and the numbers that each needs, by the most that some random draws have used."""
+    most: Counter[str] = Counter()
+    for k in range(min(_MEASURED, plan.draws)):
+        asked: dict[str, Coordinates] = {}
 
-    rng = random_streams.generator(seed, zlib.crc32(b"latin hypercube"))
-    found: Array = qmc.LatinHypercube(width, seed=rng).random(draws)
-    return found
+        def numbers(name: str, k: int = k, asked: dict[str, Coordinates] = asked) -> Coordinates:
+            seed = zlib.crc32(name.encode(), k)
+            return asked.setdefault(name, Coordinates((), seed))
+
+        with suppress(SweepError):  # starts without room
+            _drawn(plan, k, numbers)
+        most |= Counter({name: min(of.used, _MOST_NUMBERS) for name, of in asked.items()})
+    return tuple(most.items())
 
 
 _family = lru_cache(maxsize=4)(family_from_text)
 
 
-def _axis_values(plan: SweepPlan, k: int) -> dict[str, Any]:
+def _axis_values(plan: SweepPlan, k: int, numbers: Generator) -> dict[str, Any]:
     found: dict[str, Any] = {}
     cell = k % plan.cells
     for axis in reversed(plan.grid):  # the last axis varies fastest
         cell, which = divmod(cell, len(axis.values))
         found[axis.key] = axis.values[which]
-    design = _design(plan.seed, plan.draws, len(plan.ranges)) if plan.latin else None
-    for number, axis in enumerate(plan.ranges):
-        share = generator(plan, k, axis.key).random() if design is None else design[k, number]
-        found[axis.key] = axis.at(float(share))
+    for axis in plan.ranges:
+        found[axis.key] = axis.at(float(numbers(axis.key).random()))
     return {axis.key: found[axis.key] for axis in plan.axes}
 
 
 def axis_values(plan: SweepPlan, k: int) -> dict[str, Value]:
     """The values of the axes of draw k, as columns hold them."""
-    return {key: _plain(value) for key, value in _axis_values(plan, k).items()}
+    found = _axis_values(plan, k, partial(generator, plan, k))
+    return {key: _plain(value) for key, value in found.items()}
 
 
-def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
+def _drawn(
+    plan: SweepPlan, k: int, numbers: Generator | None = None
+) -> tuple[Tree, dict[str, Value]]:
     """The scenario tree of draw k, and what was drawn for it."""
+    numbers = numbers or partial(generator, plan, k)
     if not 0 <= k < plan.draws:
         raise SweepError(f"draw {k}: expected 0 to {plan.draws - 1}")
     tree = reader.parse(plan.scenario, plan.source)
     values: dict[str, Value] = {}
     if plan.family:
         base = _base_scenario(plan.scenario, plan.source)
-        numbers = partial(generator, plan, k)
         values |= draw_family(_family(plan.family), base, tree, numbers)
-    axes = _axis_values(plan, k)
+    axes = _axis_values(plan, k, numbers)
     tree = reader.with_keys(tree, axes, plan.source)
     values |= {key: _plain(value) for key, value in axes.items()}
     if "seed" not in axes:
-        tree["seed"] = int(generator(plan, k, "seed").integers(2**32))
+        tree["seed"] = int(numbers("seed").integers(2**32))
     if plan.starts.kind == FILE and plan.stop_after_s is None:
         return tree, values
     file = validated(tree, _source(plan, k))
     if plan.starts.kind != FILE:
         given = [uav.position_m for uav in file.uavs]
         spacing = spacing_of(file, file.world.bodies)
-        places = drawn_places(given, plan.starts, spacing, generator(plan, k, "starts"))
+        places = drawn_places(given, plan.starts, spacing, numbers("starts"))
         for uav, place in zip(tree["uavs"], places, strict=True):
             uav["position_m"] = place.tolist()
     if plan.stop_after_s is not None:

@@ -54,7 +54,14 @@ class SweepRow:
     peak_force_n: float | None
     energy_n2_s: float | None  # integral of |u|^2 (54)
     check: str  # what the dry run before the flight said: accepted | refused; empty: there was none
+    keep_out_margin: float | None = None  # least (distance - keep-out) / keep-out
+    # (tolerance - error at it) / tolerance; None: it gave way, or was not expected
+    deadline_margin: float | None = None
+    return_margin: float | None = None  # (promise - time back after an encounter) / promise
 
+
+MARGINS = ("keep_out_margin", "deadline_margin", "return_margin")
+"""Columns that are below 0 where a promise is broken; what a search makes small."""
 
 UNITS = {field.name: unit_of(field.name) or "" for field in fields(SweepRow)}
 """Unit of each column; empty for words and numbers without one."""
@@ -78,6 +85,11 @@ def fly_draw(
     scenario, values = drawn_scenario(plan, k)
     flight = fly(scenario, room=room)
     return rows_of(k, scenario, recording_of(flight), check), values, flight
+
+
+def _left(used: float | None, promised: float | None) -> float | None:
+    """The share of a promise that is left."""
+    return None if used is None or not promised else 1.0 - used / promised
 
 
 _OF_VERDICT = {name: name for name in UNITS if name in UavVerdict.__dataclass_fields__} | {
@@ -114,6 +126,14 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
             "peak_force_n": efforts[of.uav].peak_force_n,
             "energy_n2_s": efforts[of.uav].energy,
             "check": check,
+            "keep_out_margin": min(
+                (p.distance_m / p.keep_out_m - 1.0 for p in pairs if p.keep_out_m > 0.0),
+                default=None,
+            ),
+            "deadline_margin": _left(of.error_at_deadline_m, of.tolerance_m)
+            if of.in_place is not None and not of.gave_way_to
+            else None,
+            "return_margin": _left(of.regained_s, of.recovery_s),
         }
         rows.append(SweepRow(**values))
     return rows

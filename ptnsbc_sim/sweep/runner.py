@@ -189,7 +189,7 @@ def join_chunks(plan: SweepPlan, chunks: Iterable[bytes]) -> bytes:
     return _parquet(Table.from_batches(batches, schema=schema(plan)))
 
 
-PLAN, CHUNKS, TABLE = "plan.json", "chunks", "table.parquet"
+PLAN, CHUNKS, TABLE, SEARCH = "plan.json", "chunks", "table.parquet", "search"
 
 _MOST_ERRORS = 2  # a chunk that fails is tried once more
 _MOST_DEATHS = 3  # workers that a chunk may take with it
@@ -245,7 +245,7 @@ def run(
         KeyboardInterrupt: ended early; chunks that are done stay, and the next run continues.
     """
     path, other = folder / PLAN, held(folder, plan)
-    if not path.exists() and folder.exists() and any(folder.iterdir()):
+    if not path.exists() and folder.exists() and {one.name for one in folder.iterdir()} - {SEARCH}:
         other = "other files"
     if other:
         raise SweepError(f"{folder}: holds {other}: expected an empty folder, or the same sweep")

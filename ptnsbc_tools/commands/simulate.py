@@ -6,7 +6,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -33,6 +33,7 @@ from ptnsbc_tools.options import (
 if TYPE_CHECKING:
     from ptnsbc_sim.sweep.plan import SweepPlan
     from ptnsbc_sim.sweep.runner import SweepResult
+    from ptnsbc_sim.sweep.search import Found
     from ptnsbc_tools.sweeps.summary import FlownSweep
 
 _BASE = "paper_5_free"
@@ -129,7 +130,6 @@ class Draws(Choices):
             "or A,B,C (list). Repeatable: lists and grids make all combinations.",
         ),
     ] = None
-    latin: Annotated[bool, option("--latin", "Draw the ranges from one Latin hypercube.")] = False
     starts: Annotated[
         str,
         option(
@@ -177,7 +177,6 @@ class Draws(Choices):
             family=self.family,
             overrides=keys,
             name=self.name,
-            latin=self.latin,
             seed=self.draw_seed,
             stop_after_s=self.stop_after,
             check=self.check,
@@ -205,6 +204,22 @@ def sweep(
     overwrite: Annotated[
         bool, option("--overwrite", "Replace a sweep of another plan, or of other laws, in DIR.")
     ] = False,
+    search: Annotated[
+        Literal["worst"] | None,
+        option(
+            "--search worst",
+            "Draw by a search for broken promises, with --runs flights; the worst of them are the sweep.",
+        ),
+    ] = None,
+    rare: Annotated[
+        float | None,
+        option(
+            "--rare P",
+            "Search for the probability of a broken promise, down to P; the worst flights are the sweep.",
+            1e-9,
+            0.5,
+        ),
+    ] = None,
     strict: StrictOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -225,7 +240,11 @@ def sweep(
         return
     plan = draws.plan(scenario)
     folder = out or SWEEPS / plan.name
-    _clear(folder, plan, overwrite=overwrite)
+    searched = None
+    if search or rare is not None:
+        searched = _search(plan, folder, rare, workers, overwrite=overwrite)
+        plan = searched.plan
+    _clear(folder, plan, overwrite=overwrite or searched is not None)
     flown = _fly(plan, folder, workers)
     found = read_sweep(folder, strict=strict)
     page = None
@@ -240,9 +259,12 @@ def sweep(
             for one in flown.failed
         ] + [{"first": k, "last": k, "error": cause} for k, cause in found.not_flown]
         files = {"table": str(flown.table), "report": str(page) if page else None}
-        console.print_json({**summary.as_json(found), "failed": failed, **files})
+        about = {"search": searched.as_json()} if searched is not None else {}
+        console.print_json({**summary.as_json(found), **about, "failed": failed, **files})
     else:
         _show(found, flown, page, verbose=verbose)
+        if searched is not None:
+            _show_search(searched)
     if found.missing:
         raise typer.Exit(_LACKING)
 
@@ -263,6 +285,35 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
             shutil.rmtree(made)
         else:
             made.unlink(missing_ok=True)
+
+
+def _search(
+    plan: SweepPlan, folder: Path, least: float | None, workers: int | None, *, overwrite: bool
+) -> Found:
+    from ptnsbc_sim.sweep.runner import SEARCH
+    from ptnsbc_sim.sweep.search import search as search_draws
+
+    place = folder / SEARCH
+    try:
+        with console.progress("searching", None) as advance:
+            return search_draws(
+                plan, place, least=least, workers=workers, overwrite=overwrite, progress=advance
+            )
+    except KeyboardInterrupt:
+        console.say(f"interrupted: what was flown is in {place}; the same command goes on")
+        raise typer.Exit(_INTERRUPTED) from None
+
+
+def _show_search(searched: Found) -> None:
+    """The probability, the least margin against flights flown, and what made the worst of them."""
+    if (rare := searched.rare) is not None:
+        shown = f"{rare.probability:.2g} ({rare.low:.2g} to {rare.high:.2g})"
+        if rare.probability == 0.0:
+            shown = f"at most {rare.high:.2g}"
+        print(f"probability of a broken promise: {shown}, by {rare.flights} flights")
+    so_far = ", ".join(f"{margin:+.3f} after {count}" for count, margin in searched.so_far())
+    print(f"least margin, as a share of its promise: {so_far} flights")
+    print(f"what made draw 0: {', '.join(searched.inputs(0))}")
 
 
 def _fly(plan: SweepPlan, folder: Path, workers: int | None) -> SweepResult:

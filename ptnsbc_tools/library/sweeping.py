@@ -172,7 +172,6 @@ def sweep(
     runs: int = 200,
     *,
     vary: Mapping[str, str] | Sequence[str] = (),
-    latin: bool = False,
     starts: str = "file",
     family: str | Path | None = None,
     seed: int = 0,
@@ -188,7 +187,6 @@ def sweep(
         scenario: what is drawn from.
         runs: flights; of each cell when lists or grids are varied.
         vary: values by dotted key as `--vary` takes them: "LO:HI", "MEAN±SIGMA", "LO:HI:COUNT", "A,B,C".
-        latin: draw the ranges from one Latin hypercube.
         starts: "file", "near:SIGMA" or "box:X,Y,Z", in metres.
         family: draw whole scenarios from this family, by name or file.
         seed: of all draws.
@@ -207,7 +205,6 @@ def sweep(
         vary=vary,
         starts=starts,
         family=family,
-        latin=latin,
         seed=seed,
         stop_after_s=stop_after_s,
         check=dry_runs,

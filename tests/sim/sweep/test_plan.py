@@ -133,13 +133,6 @@ def test_several_lists_make_a_grid_with_replicates() -> None:
     assert len(seeds) == 12
 
 
-def test_a_latin_hypercube_has_one_draw_in_each_slice() -> None:
-    plan = plan_with(10, f"{KAPPA}=1:2", "plant.mass_kg=1:2", latin=True)
-    for key in (KAPPA, "plant.mass_kg"):
-        values = sorted(float(drawn_values(plan, k)[key]) for k in range(10))
-        assert [int((value - 1.0) * 10) for value in values] == list(range(10))
-
-
 def test_normal_draws_have_the_mean_and_deviation_asked_for() -> None:
     plan = plan_with(800, f"{KAPPA}=2.0±0.1")
     values = [drawn_values(plan, k)[KAPPA] for k in range(800)]

@@ -201,7 +201,7 @@ def test_a_sweep_of_another_plan_stays_unless_it_may_go(tmp_path: Path) -> None:
         ("sweep", "paper_5", "--vary", "a"),
         ("sweep", "paper_5", "--starts", "there"),
         ("sweep", "--family", "nobody"),
-        ("sweep", "paper_5", "--latin"),
+        ("sweep", "paper_5", "--search", "worst"),
         ("simulate",),
         ("simulate", "paper_5", "--draw", 1),
         ("simulate", "--sweep", "nowhere", "--draw", 1),

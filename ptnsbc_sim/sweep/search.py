@@ -1,0 +1,293 @@
+"""A search for the worst flights of a sweep, and for the probability that one breaks a promise.
+
+A draw is a point of D standard normal numbers, and each of these makes one number of the draw through the inverse of
+its distribution (`Coordinates`). A flight has a margin for each promise: its share that is left, below 0 where it is
+broken. What is made here is a stream of generations of points, to which the margins are the answer.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+from collections.abc import Callable, Generator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_io.files import replacing
+from ptnsbc_sim.swarm import HeadlessFlight
+from ptnsbc_sim.sweep.draws import SweepError
+from ptnsbc_sim.sweep.dry_run import REFUSED, dry_run_says
+from ptnsbc_sim.sweep.plan import SweepPlan, layout_of
+from ptnsbc_sim.sweep.rows import MARGINS, fly_draw
+from ptnsbc_sim.sweep.runner import CHUNK_DRAWS, Progress, cores, depend_on_parent, made_by
+from ptnsbc_sim.verdict.deadline import KEPT
+
+KEPT_FLIGHTS = 25
+"""Worst flights of a search that are written as a sweep."""
+FARTHEST = 3.0
+"""A coordinate of the search for the worst stays within so many standard deviations."""
+LEVEL_FLIGHTS = 1000
+"""Flights of the first level of a subset simulation."""
+_SPECIES = 8
+_LEVEL_SHARE = 0.1
+_STEP = 0.6  # of the chains: the least spread of 0.5, 0.65 and 0.8 on half spaces
+# Standard deviations of an interval of 95 %: levels are not independent, which the variance leaves out. With 1.96 it
+# held 91 of 100 half spaces of 1e-4 and of 1e-6.
+_REACH = 2.25
+_NONE = 10.0  # margin of a promise that a flight does not make
+
+Evaluate = Callable[[Array], Array]
+Generations = Generator[Array, Array, "Rare | None"]
+"""Yields points (M, D), is sent their margins (M, 3), and returns what it found."""
+
+
+class Rare(NamedTuple):
+    """The probability of a flight that breaks a promise."""
+
+    probability: float  # 0: none was found down to the level asked for
+    low: float  # interval of 95 %
+    high: float
+    flights: int
+
+
+def worst(dims: int, flights: int, seed: int) -> Generations:
+    """CMA-ES in several species, each for another promise, which begin again elsewhere once they have converged."""
+    from cmaes import CMA  # late: few ask for it
+
+    seeds = np.random.default_rng(seed)
+    bounds = np.tile([-FARTHEST, FARTHEST], (dims, 1))
+
+    def begun() -> CMA:
+        mean = np.clip(0.5 * seeds.standard_normal(dims), -1.0, 1.0)
+        word = int(seeds.integers(2**31))
+        return CMA(mean, 1.0, bounds=bounds, seed=word, population_size=CHUNK_DRAWS)
+
+    species = [begun() for _ in range(_SPECIES)]
+    for _ in range(math.ceil(flights / (_SPECIES * CHUNK_DRAWS))):
+        points = np.array([[one.ask() for _ in range(CHUNK_DRAWS)] for one in species])
+        margins = yield points.reshape(-1, dims)
+        for number, (one, of) in enumerate(zip(species, np.split(margins, _SPECIES), strict=True)):
+            promise = number % (len(MARGINS) + 1)  # the last of them: whichever is least
+            values = of.min(axis=1) if promise == len(MARGINS) else of[:, promise]
+            one.tell(list(zip(points[number], values.tolist(), strict=True)))
+            if one.should_stop():
+                species[number] = begun()
+    return None
+
+
+def rare(dims: int, least: float, seed: int) -> Generations:
+    """Subset simulation (Au and Beck, Probabilistic Engineering Mechanics 16, 2001).
+
+    P(margin < 0) is the product of conditional probabilities of about 0.1 each: of all flights, a tenth lies below a
+    first level of the margin; of those that chains draw below it, a tenth lies below a second one. A chain steps by
+    z' = sqrt(1 - s^2) z + s n with n normal, which keeps the normal distribution, and stays where z' is above the
+    level. Variance of a level as theirs (eq. 29): (1 - p)(1 + g)/(N p), g from the correlation along the chains.
+    """
+    rng = np.random.default_rng(seed)
+    points = rng.standard_normal((LEVEL_FLIGHTS, dims))
+    margins = (yield points).min(axis=1)
+    chains, probability, variance = LEVEL_FLIGHTS, 1.0, 0.0
+    flown = LEVEL_FLIGHTS
+    while True:
+        level = max(float(np.quantile(margins, _LEVEL_SHARE, method="lower")), 0.0)
+        below = margins < level if level == 0.0 else margins <= level
+        share = float(below.mean())
+        if share == 0.0 or probability * share < least:
+            break
+        variance += (1.0 - share) * (1.0 + _correlation(below, chains)) / (len(below) * share)
+        probability *= share
+        if level == 0.0:
+            reach = math.exp(_REACH * math.sqrt(math.log1p(variance)))
+            return Rare(probability, probability / reach, min(probability * reach, 1.0), flown)
+        seeds, at = points[below], margins[below]
+        chains = len(seeds)
+        steps = math.ceil(LEVEL_FLIGHTS / chains) - 1
+        all_points, all_margins = [seeds], [at]
+        for _ in range(steps):
+            noise = rng.standard_normal(seeds.shape)
+            tried = math.sqrt(1.0 - _STEP**2) * seeds + _STEP * noise
+            found = (yield tried).min(axis=1)
+            flown += chains
+            moves = found <= level
+            seeds, at = np.where(moves[:, None], tried, seeds), np.where(moves, found, at)
+            all_points.append(seeds)
+            all_margins.append(at)
+        # A chain's states stand one behind the other.
+        points = np.stack(all_points, axis=1).reshape(-1, dims)
+        margins = np.stack(all_margins, axis=1).reshape(-1)
+    return Rare(0.0, 0.0, max(least, 3.0 * probability / len(margins)), flown)
+
+
+def _correlation(below: NDArray[np.bool_], chains: int) -> float:
+    """2 sum (1 - k n/N) rho(k) over lags k of n chains with N states in all; 0 of independent flights."""
+    series = below.reshape(chains, -1).astype(np.float64)
+    length = series.shape[1]
+    centred = series - series.mean()
+    variance = float((centred**2).mean())
+    if length == 1 or variance == 0.0:
+        return 0.0
+    rho = [float((centred[:, :-k] * centred[:, k:]).mean()) / variance for k in range(1, length)]
+    return max(2.0 * sum((1.0 - k / length) * of for k, of in enumerate(rho, start=1)), 0.0)
+
+
+def fly_margins(plan_json: str) -> Array:
+    """The margins (M, 3) of the flights of a plan, each the least of its UAVs; of `check`, those it accepts.
+
+    A draw that cannot be flown, or that the dry run refuses, breaks nothing.
+    """
+    plan = SweepPlan.from_json(plan_json)
+    found = np.full((plan.draws, len(MARGINS)), _NONE)
+    room: HeadlessFlight | None = None
+    for k in range(plan.draws):
+        try:
+            rows, _, room = fly_draw(plan, k, room)
+            for column, name in enumerate(MARGINS):
+                values = [value for row in rows if (value := getattr(row, name)) is not None]
+                found[k, column] = np.nan_to_num(min(values, default=_NONE), nan=-_NONE)
+            if (
+                rows[0].flight_verdict not in KEPT
+            ):  # for whatever reason: nothing is left of its margin
+                found[k, 1] = min(found[k, 1], -1e-9)
+            if plan.check and found[k].min() < 0.0 and dry_run_says(plan, k) == REFUSED:
+                found[k] = np.maximum(found[k], 0.0)
+        except PtnsbcError:
+            found[k] = _NONE
+    return found
+
+
+@dataclass(frozen=True)
+class Found:
+    """The worst flights of a search, and all margins."""
+
+    plan: SweepPlan  # of its worst flights, the worst first
+    margins: Array  # (flights,) of all that it flew, in their order
+    rare: Rare | None
+
+    def so_far(self) -> list[tuple[int, float]]:
+        """The least margin after 10, 100, 1000 … flights, and after all."""
+        counts = [10**power for power in range(1, 8) if 10**power < len(self.margins)]
+        return [(n, float(self.margins[:n].min())) for n in (*counts, len(self.margins))]
+
+    def inputs(self, k: int, most: int = 3) -> list[str]:
+        """The numbers of worst flight k that are farthest from their middle: what made it."""
+        names = [f"{name}[{i}]" for name, count in self.plan.layout for i in range(count)]
+        point = self.plan.points[k]
+        order = sorted(range(len(point)), key=lambda i: -abs(point[i]))[:most]
+        return [f"{names[i]} {point[i]:+.1f} sigma" for i in order]
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain data."""
+        worst = sorted(self.margins.tolist())[: len(self.plan.points)]
+        kept = [
+            {"draw": k, "margin": margin, "inputs": self.inputs(k)}
+            for k, margin in enumerate(worst)
+        ]
+        rare = None if self.rare is None else self.rare._asdict()
+        return {"flights": len(self.margins), "so_far": self.so_far(), "rare": rare, "worst": kept}
+
+
+def search(
+    plan: SweepPlan,
+    folder: Path,
+    *,
+    least: float | None = None,
+    workers: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Found:
+    """Search the draws of a plan, as many flights as it has; the same numbers whatever the workers.
+
+    Args:
+        plan: what may be drawn; its ranges, starts and family are the space.
+        folder: keeps the margins, so that a search that was ended goes on.
+        least: ask for the probability of a broken promise, down to this one; None: for the worst flights.
+        workers: processes on this machine, by default one for each core.
+        overwrite: begin anew where the folder holds another search.
+        progress: called with (flights done, flights in all).
+
+    Raises:
+        SweepError: nothing varies, the folder holds another search, or a worker has ended.
+    """
+    plan = replace(plan, layout=layout_of(plan))
+    dims = sum(count for _, count in plan.layout)
+    if plan.cells > 1 or dims < 2:  # the seed of the noise alone is no space
+        raise SweepError("search: expected ranges, --starts or --family, and no list or grid")
+    told = json.dumps({"plan": plan.to_json(), "least": least, "made_by": made_by(plan)})
+    about, kept = folder / "search.json", folder / "margins.npy"
+    folder.mkdir(parents=True, exist_ok=True)
+    if about.exists() and about.read_text(encoding="utf-8") != told:
+        if not overwrite:
+            raise SweepError(
+                f"{folder}: holds another search: expected another folder, or overwrite"
+            )
+        kept.unlink(missing_ok=True)
+    with replacing(about) as part:
+        part.write_text(told, encoding="utf-8")
+    before = np.load(kept) if kept.exists() else np.empty((0, len(MARGINS)))
+    if least is None:
+        generations = worst(dims, plan.runs, plan.seed)
+    else:
+        generations = rare(dims, least, plan.seed)
+    points, result = [next(generations)], None
+    margins: list[Array] = []
+    with _Pool(plan, workers or cores()) as pool:
+        while True:
+            done = sum(map(len, margins))
+            known = before[done : done + len(points[-1])]
+            margins.append(known if len(known) == len(points[-1]) else pool.evaluate(points[-1]))
+            if not len(known):
+                with replacing(kept) as part, part.open("wb") as file:
+                    np.save(file, np.concatenate(margins))
+            if progress is not None:
+                progress(done + len(points[-1]), max(plan.runs, done + len(points[-1])))
+            try:
+                points.append(generations.send(margins[-1]))
+            except StopIteration as end:
+                result = end.value
+                break
+    every, of = np.concatenate(points), np.concatenate(margins).min(axis=1)
+    order = np.argsort(of, kind="stable")[:KEPT_FLIGHTS]
+    chosen = tuple(map(tuple, every[order].tolist()))
+    return Found(replace(plan, points=chosen, runs=len(chosen)), of, result)
+
+
+class _Pool:
+    """Flies points in chunks, over processes; use it as a context manager."""
+
+    def __init__(self, plan: SweepPlan, workers: int) -> None:
+        self._plan, self._workers = plan, workers
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> _Pool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def evaluate(self, points: Array) -> Array:
+        """The margins (M, 3) of points (M, D)."""
+        texts = []
+        for begin in range(0, len(points), CHUNK_DRAWS):
+            chunk = tuple(map(tuple, points[begin : begin + CHUNK_DRAWS].tolist()))
+            texts.append(replace(self._plan, points=chunk, runs=len(chunk)).to_json())
+        if self._workers == 1:
+            return np.concatenate([*map(fly_margins, texts)])
+        if self._pool is None:
+            # The laws are loaded before the workers are forked.
+            fly_margins(replace(self._plan, points=(tuple(points[0].tolist()),), runs=1).to_json())
+            context = multiprocessing.get_context("fork")
+            self._pool = ProcessPoolExecutor(self._workers, context, depend_on_parent)
+        try:
+            return np.concatenate([*self._pool.map(fly_margins, texts)])
+        except BrokenProcessPool:
+            raise SweepError("search: a worker process ended: the same command goes on") from None
