@@ -10,9 +10,10 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -227,7 +228,7 @@ def search(
     if about.exists() and about.read_text(encoding="utf-8") != told:
         if not overwrite:
             raise SweepError(
-                f"{folder}: holds another search: expected another folder, or overwrite"
+                f"{folder}: holds another search: choose another folder, or overwrite it"
             )
         kept.unlink(missing_ok=True)
     with replacing(about) as part:
@@ -239,18 +240,19 @@ def search(
         generations = rare(dims, least, plan.seed)
     points, result = [next(generations)], None
     margins: list[Array] = []
-    with _Pool(plan, workers or cores()) as pool:
+    with _workers(plan, dims, workers or cores()) as map_over:
         while True:
             done = sum(map(len, margins))
             known = before[done : done + len(points[-1])]
-            margins.append(known if len(known) == len(points[-1]) else pool.evaluate(points[-1]))
-            if not len(known):
+            if len(known) < len(points[-1]):
+                known = np.concatenate([*map_over(fly_margins, _plans(plan, points[-1]))])
                 with replacing(kept) as part, part.open("wb") as file:
-                    np.save(file, np.concatenate(margins))
+                    np.save(file, np.concatenate([*margins, known]))
+            margins.append(known)
             if progress is not None:
-                progress(done + len(points[-1]), max(plan.runs, done + len(points[-1])))
+                progress(done + len(known), max(plan.runs, done + len(known)))
             try:
-                points.append(generations.send(margins[-1]))
+                points.append(generations.send(known))
             except StopIteration as end:
                 result = end.value
                 break
@@ -260,34 +262,26 @@ def search(
     return Found(replace(plan, points=chosen, runs=len(chosen)), of, result)
 
 
-class _Pool:
-    """Flies points in chunks, over processes; use it as a context manager."""
+def _plans(plan: SweepPlan, points: Array) -> list[str]:
+    """Plans that fly points (M, D), a chunk each."""
+    chunks = [points[k : k + CHUNK_DRAWS].tolist() for k in range(0, len(points), CHUNK_DRAWS)]
+    flown = (replace(plan, points=tuple(map(tuple, one)), runs=len(one)) for one in chunks)
+    return [one.to_json() for one in flown]
 
-    def __init__(self, plan: SweepPlan, workers: int) -> None:
-        self._plan, self._workers = plan, workers
-        self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> _Pool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def evaluate(self, points: Array) -> Array:
-        """The margins (M, 3) of points (M, D)."""
-        texts = []
-        for begin in range(0, len(points), CHUNK_DRAWS):
-            chunk = tuple(map(tuple, points[begin : begin + CHUNK_DRAWS].tolist()))
-            texts.append(replace(self._plan, points=chunk, runs=len(chunk)).to_json())
-        if self._workers == 1:
-            return np.concatenate([*map(fly_margins, texts)])
-        if self._pool is None:
-            # The laws are loaded before the workers are forked.
-            fly_margins(replace(self._plan, points=(tuple(points[0].tolist()),), runs=1).to_json())
-            context = multiprocessing.get_context("fork")
-            self._pool = ProcessPoolExecutor(self._workers, context, depend_on_parent)
-        try:
-            return np.concatenate([*self._pool.map(fly_margins, texts)])
-        except BrokenProcessPool:
-            raise SweepError("search: a worker process ended: the same command goes on") from None
+@contextmanager
+def _workers(plan: SweepPlan, dims: int, workers: int) -> Iterator[Callable[..., Iterator[Array]]]:
+    """The `map` of a pool of processes, or of this one."""
+    if workers == 1:
+        yield map
+        return
+    fly_margins(
+        *_plans(plan, np.zeros((1, dims)))
+    )  # the laws are loaded before the workers are forked
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), depend_on_parent)
+    try:
+        yield pool.map
+    except BrokenProcessPool:
+        raise SweepError("search: a worker process ended: the same command goes on") from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -262,9 +262,9 @@ def sweep(
         about = {"search": searched.as_json()} if searched is not None else {}
         console.print_json({**summary.as_json(found), **about, "failed": failed, **files})
     else:
-        _show(found, flown, page, verbose=verbose)
         if searched is not None:
             _show_search(searched)
+        _show(found, flown, page, verbose=verbose)
     if found.missing:
         raise typer.Exit(_LACKING)
 

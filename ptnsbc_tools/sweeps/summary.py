@@ -448,7 +448,8 @@ def title(sweep: FlownSweep) -> str:
         drawn.append(f"starts {plan.starts.kind}:{numbers}")
     varied = f"; {', '.join(drawn)}" if drawn else ""
     part = "" if plan.stop_after_s is None else f", the first {plan.stop_after_s:g} s"
-    return f"{plan.name}: {plan.draws} flights{part}, seed {plan.seed}{varied}"
+    flights = f"{plan.draws} flights" + (", the worst of a search" if plan.points else "")
+    return f"{plan.name}: {flights}{part}, seed {plan.seed}{varied}"
 
 
 def _digits(value: float) -> str:
@@ -490,7 +491,9 @@ def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
         style = "bold red" if of_flight and of.values[0] < 0.0 else ""
         table = distances if of_flight else figures
         table.add_row(of.label, of.unit, str(of.having), *map(_digits, of.values), style=style)
-    first = [summary_of(sweep).table(), _cells_table(sweep), why]
+    # The share of what was looked for is no share of flights.
+    searched = bool(sweep.plan.points)
+    first = [why] if searched else [summary_of(sweep).table(), _cells_table(sweep), why]
     every = [*first, distances] if brief else [*first, figures, distances]
     return [table for table in every if table is not None and (table.row_count or table is figures)]
 
@@ -498,6 +501,8 @@ def tables(sweep: FlownSweep, *, brief: bool = False) -> list[Table]:
 def line(sweep: FlownSweep) -> Text:
     """The last line: the share of flights in a sentence."""
     flown = flights_met(sweep)
+    if sweep.plan.points:
+        return Text(f"Of the worst flights of the search {flown.count} of {flown.of} met")
     text = Text(f"Flights met: {flown}")
     text.append(f"; in place at the deadline: {share_of(sweep.table.flights.in_place)}")
     if sweep.table.different < flown.of:
