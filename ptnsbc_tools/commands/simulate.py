@@ -157,6 +157,22 @@ class Draws(Choices):
             MOST_RUNS,
         ),
     ] = 0
+    search: Annotated[
+        Literal["worst"] | None,
+        option(
+            "--search worst",
+            "Draw by a search for broken promises, with --runs flights; the worst of them are the sweep.",
+        ),
+    ] = None
+    rare: Annotated[
+        float | None,
+        option(
+            "--rare P",
+            "Search for the probability of a broken promise, down to P; the worst flights are the sweep.",
+            1e-9,
+            0.5,
+        ),
+    ] = None
     name: Annotated[
         str | None, option("--name NAME", "Default: that of the scenario or the family.")
     ] = None
@@ -204,22 +220,6 @@ def sweep(
     overwrite: Annotated[
         bool, option("--overwrite", "Replace a sweep of another plan, or of other laws, in DIR.")
     ] = False,
-    search: Annotated[
-        Literal["worst"] | None,
-        option(
-            "--search worst",
-            "Draw by a search for broken promises, with --runs flights; the worst of them are the sweep.",
-        ),
-    ] = None,
-    rare: Annotated[
-        float | None,
-        option(
-            "--rare P",
-            "Search for the probability of a broken promise, down to P; the worst flights are the sweep.",
-            1e-9,
-            0.5,
-        ),
-    ] = None,
     strict: StrictOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -241,8 +241,8 @@ def sweep(
     plan = draws.plan(scenario)
     folder = out or SWEEPS / plan.name
     searched = None
-    if search or rare is not None:
-        searched = _search(plan, folder, rare, workers, overwrite=overwrite)
+    if draws.search or draws.rare is not None:
+        searched = _search(plan, folder, draws.rare, workers, overwrite=overwrite)
         plan = searched.plan
     _clear(folder, plan, overwrite=overwrite or searched is not None)
     flown = _fly(plan, folder, workers)
