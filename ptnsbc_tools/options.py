@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -191,6 +192,8 @@ _KEYS = {
     "duration": "timing.duration_s",
 }
 """Options that set a key of the scenario file."""
+_SLOW: dict[str, float] = {"timing.control_hz": 50, "sensor.rate_hz": 10}
+_ON_TICK = 1e-9  # of a tick
 
 
 @dataclass(frozen=True)
@@ -243,19 +246,30 @@ class FlightChoices(Choices):
             "Fly these legs: a YAML file with what stands below `mission` in a scenario.",
         ),
     ] = None
+    slow: Annotated[
+        bool, option("--slow", "For a slow computer: control at 50 Hz, and sensors that fit it.")
+    ] = False
 
     def of(self, scenario: str) -> Scenario:
         """The scenario of this name or file with these choices."""
         from ptnsbc_sim.scenario import ScenarioError
 
         try:
-            return scenario_with(scenario, self.keys())
+            return self.paced(scenario_with(scenario, self.keys()))
         except ScenarioError as error:
             # Errors of legs name the file that they are in, not the scenario that flies them.
             _, in_legs, rest = str(error).partition(": mission.")
             if self.mission is None or not in_legs:
                 raise
             raise ScenarioError(f"{self.mission}: mission.{rest}") from None
+
+    def paced(self, scenario: Scenario) -> Scenario:
+        """The scenario, for a slow computer with rates and latencies that fit its control period."""
+        fixes, keys = scenario.sensor.positioning, dict(_SLOW)
+        if fixes is not None:
+            ticks = math.floor(fixes.latency_s * _SLOW["timing.control_hz"] + _ON_TICK)
+            keys["sensor.positioning.latency_s"] = ticks / _SLOW["timing.control_hz"]
+        return scenario.with_(keys) if self.slow else scenario
 
 
 class TopicPatternError(PtnsbcError):

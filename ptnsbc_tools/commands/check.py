@@ -78,7 +78,7 @@ def check(
     else:
         for part in check_report(report, verbose=verbose):
             console.out().print(part)
-        same = " with the same options" if choices.keys() else ""
+        same = " with the same options" if choices.keys() or choices.slow else ""
         how = "simulate" if backend == "sim" else "fleet --backend mavlink"
         if report.ok:
             console.show(f"next: {console.program()} {how} {scenario}{same}")

@@ -80,6 +80,7 @@ def simulate(
         chosen, keys = draw_of(plan_in(sweep), draw), choices.keys()
         if keys:
             chosen = scenario_from_text(chosen.text, keys, source=chosen.source)
+        chosen = choices.paced(chosen)
     if picture is not None:
         format_of(picture)  # refused before the flight, not after it
     refuse_without_memory(chosen)  # the check of a flight of ages takes ages

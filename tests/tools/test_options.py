@@ -71,3 +71,19 @@ def test_the_script_of_the_completion_calls_us(shell: str, word: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     assert word in done.stdout
     assert "_PTNSBC_COMPLETE" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["paper_5", "experiment_4", "take_off_4", "field_gnss_4"])
+def test_a_scenario_flies_on_a_slow_computer(name: str) -> None:
+    """The rates of the sensors divide that of the laws, and fixes come on a tick."""
+    made, usual = (options.FlightChoices(slow=slow).of(name) for slow in (True, False))
+    assert (made.timing.control_hz, made.sensor.rate_hz) == (50, 10)
+    assert usual.timing.control_hz == 100
+    if usual.sensor.positioning is not None and made.sensor.positioning is not None:
+        earlier_s = usual.sensor.positioning.latency_s - made.sensor.positioning.latency_s
+        assert -1e-9 < earlier_s < 0.02
+
+
+def test_a_graph_that_is_too_fast_for_a_slow_computer_is_refused() -> None:
+    with pytest.raises(PtnsbcError, match=r"gains.estimator: .* or raise timing.control_hz"):
+        options.FlightChoices(slow=True).of("lattice_10")
