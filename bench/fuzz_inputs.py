@@ -203,6 +203,8 @@ class Files:
             _archive({"swarm": {"drones": [{"settings": {"trajectory": {"points": _CURVES}}}]}}),
             _saved(lambda stream: np.save(stream, np.eye(3))),
             (ROOT / "scenarios" / "yard.pcd").read_bytes()[:2000],
+            b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 3\nDATA binary_compressed\n"
+            b"\0\0\0\0\x24\0\0\0\3\0\0\x80\x3f\xe0\x17\3",
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
             b"property float z\nend_header\n1 2 3\n",
         ]

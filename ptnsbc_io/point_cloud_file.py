@@ -17,6 +17,7 @@ from ptnsbc_io.number_table import read_table
 
 _LONGEST_HEADER = 10_000
 _MOST_COUNT = 10_000  # of numbers in one field
+_MOST_UNPACKED = 400_000_000  # bytes
 _LONGEST_S = 60.0  # to read a LAS file
 _FARTHEST_M = 1e6
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -99,25 +100,28 @@ class _Field(NamedTuple):
     size: int = 1  # numbers
 
 
-def _points(data: bytes, fields: Sequence[_Field], count: int, *, text: bool) -> Array:
-    """The fields x, y and z of `count` records, as rows of text or in binary; more may follow."""
+def _points(
+    data: bytes, fields: Sequence[_Field], count: int, *, text: bool = False, columns: bool = False
+) -> Array:
+    """The fields x, y and z of `count` records, in rows of text, in binary, or in binary field by field."""
     names = [field.name for field in fields]
     axes = [names.index(axis) for axis in "xyz" if axis in names]
     if len(axes) < 3 or any(fields[place].size != 1 for place in axes):
         raise PointCloudFileError("expected fields x, y and z, each of one number")
     if not text:
-        record = np.dtype([(f"{k}", field.type, (field.size,)) for k, field in enumerate(fields)])
-        size = count * record.itemsize
+        size = count * sum(np.dtype(field.type).itemsize * field.size for field in fields)
         if not 0 < size <= len(data):
             raise PointCloudFileError(f"expected {size} bytes of points, found {len(data)}")
-        points = np.frombuffer(data, record, count)
-        return np.concatenate([points[f"{k}"].astype(np.float64) for k in axes], axis=1)
-    columns = [sum(field.size for field in fields[:place]) for place in axes]
+        each = count if columns else 1
+        record = np.dtype([(f"{k}", one.type, (one.size * each,)) for k, one in enumerate(fields)])
+        points = np.frombuffer(data, record, count // each)
+        return np.stack([points[f"{k}"].ravel().astype(np.float64) for k in axes], axis=1)
+    places = [sum(field.size for field in fields[:place]) for place in axes]
     rows: Array | tuple[()] = ()
     try:
         if count and data.strip():
             stream = io.BytesIO(data)
-            rows = np.loadtxt(stream, usecols=columns, ndmin=2, max_rows=count, comments=None)
+            rows = np.loadtxt(stream, usecols=places, ndmin=2, max_rows=count, comments=None)
     except ValueError:
         raise PointCloudFileError("expected a row of numbers for each point") from None
     if len(rows) != count:
@@ -186,11 +190,33 @@ def _pcd(data: bytes) -> Array:
         if not header.get(key):
             raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
     points, kind = _numbers("POINTS", header["POINTS"])[0], header["DATA"][0]
+    rest, fields = data[after + 1 :], _fields(header)
+    if kind == "binary_compressed":
+        return _points(_unpacked(rest), fields, points, columns=True)
     if kind not in ("ascii", "binary"):
-        raise PointCloudFileError(
-            f"DATA {kind}: expected ascii or binary: pcl_convert_pcd_ascii_binary MAP.pcd NEW.pcd 1"
-        )
-    return _points(data[after + 1 :], _fields(header), points, text=kind == "ascii")
+        raise PointCloudFileError(f"DATA {kind}: expected ascii, binary or binary_compressed")
+    return _points(rest, fields, points, text=kind == "ascii")
+
+
+def _unpacked(data: bytes) -> bytes:
+    """What is packed by LZF behind its two sizes: runs of bytes, and copies of some that are there already."""
+    size, at, out = min(int.from_bytes(data[4:8], "little"), _MOST_UNPACKED), 8, bytearray()
+    end, data = len(data), data + bytes(2)  # the last token may be cut
+    while len(out) < size and at < end:
+        head, at = data[at], at + 1
+        if head < 32:
+            out += data[at : at + head + 1]
+            at += head + 1
+            continue
+        length = (head >> 5) + 2
+        if length == 9:
+            length, at = length + data[at], at + 1
+        first = len(out) - (((head & 31) << 8) + data[at] + 1)
+        if first < 0:
+            break
+        copy, at = out[first : first + length], at + 1
+        out += (copy * (length // len(copy) + 1))[:length]
+    return bytes(out)
 
 
 def _numbers(key: str, words: list[str]) -> list[int]:

@@ -92,6 +92,26 @@ def test_a_survey_needs_a_library_that_is_named(
         points_of(written(tmp_path, "a.las", b""))
 
 
+def packed(tokens: list[bytes], size: int = 36) -> bytes:
+    content = b"".join(tokens)
+    return len(content).to_bytes(4, "little") + size.to_bytes(4, "little") + content
+
+
+def test_a_compressed_pcd_holds_column_after_column(tmp_path: Path) -> None:
+    """Runs of bytes, a short copy, and a long one that repeats what it has just written."""
+    points = np.zeros((12, 3))
+    points[:, 0], points[:4, 1] = 1.5, (2.0, 2.0, -7.0, 2.0)
+    data = points.astype("<f4").T.tobytes()
+    x, y = data[:4], data[48:64]
+    tokens = [b"\3" + x, b"\xe0" + bytes([44 - 9, 3])]  # 44 bytes more of x
+    tokens += [b"\3" + y[:4], b"\x40\3", b"\3" + y[8:12], b"\x40\x0b"]  # y, with copies of 4 bytes
+    tokens += [b"\0\0", b"\xe0" + bytes([78 - 9, 0]), b"\0\0"]
+    path = written(
+        tmp_path, "a.pcd", header("binary_compressed", 12).encode() + packed(tokens, 144)
+    )
+    np.testing.assert_array_equal(points_of(path), points)
+
+
 def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
     record = np.dtype([("i", "<u4"), ("z", "<f4"), ("n", "<f4", (3,)), ("x", "<f4"), ("y", "<f4")])
     given = np.zeros(3, record)
@@ -169,11 +189,9 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
         ("a.pcd", header("ascii") + "1 2 3\n1 2\n1 2 3\n", "expected a row of numbers for each"),
         ("a.pcd", header("ascii") + "# 1 2 3\n", "expected a row of numbers for each"),
         ("a.pcd", header("binary") + "1234", "expected 36 bytes of points, found 4"),
-        (
-            "a.pcd",
-            header("binary_compressed") + "1234",
-            "DATA binary_compressed: expected ascii or",
-        ),
+        ("a.pcd", header("packed") + "1234", "DATA packed: expected ascii, binary or binary_comp"),
+        ("a.pcd", header("binary_compressed") + "1234", "expected 36 bytes of points, found 0"),
+        ("a.pcd", header("binary_compressed").encode() + packed([b"\xe0"] * 9), "found 0"),
         ("a.pcd", header("ascii", fields="x y i"), "expected fields x, y and z, each"),
         ("a.pcd", header("ascii", kinds="F F Q"), "field z: Q4: expected a type of PCD"),
         ("a.pcd", header("ascii", kinds="F F"), "expected as many words in FIELDS"),
