@@ -25,8 +25,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     """Rows of this section; none where no interpreter is named."""
     from bench.table import Row
 
-    python = os.environ.get("PTNSBC_PEERS_PYTHON", "")
-    if not python:
+    if not (python := os.environ.get("PTNSBC_PEERS_PYTHON", "")):
         return []
     command = ["taskset", "-c", "0,1", python, __file__, str(plan.of(3.0, 0.5))]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
