@@ -22,7 +22,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep.draws import NORMAL, UNIFORM, VALUES, SweepError
 from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.sweep.plan import SweepPlan
-from ptnsbc_sim.sweep.rows import NOT_FLOWN, UNITS, SweepRow
+from ptnsbc_sim.sweep.rows import MARGINS, NOT_FLOWN, UNITS, SweepRow
 from ptnsbc_sim.sweep.runner import DRAWN, PLAN, TABLE, read_table
 from ptnsbc_sim.verdict.deadline import KEPT, MET, MET_LATE, MISSED, VIOLATED
 from ptnsbc_tools import console
@@ -149,11 +149,11 @@ class FlightTable:
         )
 
     def of_flights(self, name: str) -> Array:
-        """A figure of each flight (D,): of a distance the least of its UAVs, else the largest; NaN when none has it.
+        """A figure of each flight (D,): of a distance or a margin the least of its UAVs, else the largest.
 
-        An infinite error was not finite.
+        NaN when none has it; an infinite error was not finite.
         """
-        least = any(name == distance for _, distance in DISTANCES)
+        least = name in MARGINS or any(name == distance for _, distance in DISTANCES)
         return (np.fmin if least else np.fmax).reduceat(self[name], self.first)
 
     def _worst(self) -> NDArray[np.int64]:

@@ -133,3 +133,11 @@ def test_a_search_needs_something_to_vary(tmp_path: Path) -> None:
     grid = plan_near(axes=(parse_axis("timing.duration_s=0.3,0.4"),))
     with pytest.raises(SweepError, match="no list or grid"):
         search.search(grid, tmp_path)
+
+
+def test_what_the_dry_runs_refuse_breaks_no_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plan_near(1, stop_after_s=0.1)  # void: nothing is left of its margin
+    assert search.fly_margins(plan.to_json()).min() < 0.0
+    monkeypatch.setattr(search, "dry_run_says", lambda plan, k: search.REFUSED)
+    checked = plan_near(1, stop_after_s=0.1, check=1)
+    assert search.fly_margins(checked.to_json()).min() == 0.0

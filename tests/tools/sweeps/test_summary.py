@@ -133,11 +133,13 @@ def test_a_deadlock_of_one_uav_counts_once_for_its_flight(made) -> None:
 
 def test_a_flight_has_the_worst_figure_of_its_uavs(made) -> None:
     near = replace(made.ROW, closest_uav_m=0.5, error_at_deadline_m=0.3, largest_after_all_m=0.4)
-    table = table_of([made.ROW, replace(near, uav=2), replace(made.ROW, draw=7)])
+    near, far = replace(near, keep_out_margin=0.0), replace(made.ROW, keep_out_margin=0.6)
+    table = table_of([far, replace(near, uav=2), replace(made.ROW, draw=7)])
     flights = table.flights
     assert flights.draw.tolist() == [0, 7]
     assert table.of_flights("error_at_deadline_m").tolist() == [0.3, 0.01]
     assert table.of_flights("closest_uav_m").tolist() == [0.5, 0.8]
+    assert table.of_flights("keep_out_margin").tolist()[0] == 0.0
     assert flights.worst.tolist() == [1, 2]
     assert np.isnan(table.of_flights("closest_obstacle_m")).all()
 
