@@ -1,6 +1,7 @@
 """Laws of one's own against ours: consensus, a potential field and a CBF-QP, over the same draws of starts."""
 
 import sys
+import time
 from pathlib import Path
 
 from matplotlib import pyplot as plt
@@ -23,9 +24,12 @@ scenarios = {
 figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
 first = None
 for name, scenario in scenarios.items():
+    began = time.process_time()
     flown = ptnsbc.sweep(scenario, **DRAWS)
+    took = time.process_time() - began  # of a processor; at the first use with the compilation
     first = first or flown
-    print(f"{name}: {flown.met}; worse than ours: {ptnsbc.compare(first, flown).worse}")
+    worse = ptnsbc.compare(first, flown).worse
+    print(f"{name}: {flown.met}; worse than ours: {worse}; {took:.2f} s")
     flight = flown.fly(0)
     axes.semilogy(flight.time_s, flight.error_m[:, 1:].max(axis=1), label=name)
 axes.axvline(ours.gains.formation.deadline_s, color="black", linewidth=1)

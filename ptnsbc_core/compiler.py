@@ -117,7 +117,7 @@ class _WholeKernel(CPUDispatcher):
     def __init__(self, law: Callable[..., Any], error_model: str) -> None:
         options = {"nopython": True, "error_model": error_model, "no_cfunc_wrapper": True}
         super().__init__(law, targetoptions=options, pipeline_class=self.pipeline)
-        self._part = _PartOfKernel(law, inline=False)
+        self._part = _PartOfKernel(law, inline=False, error_model=error_model)
 
     @property
     def _numba_type_(self) -> types.Dispatcher:
@@ -149,8 +149,8 @@ class _PartOfKernel(CPUDispatcher):
 
     pipeline = _pipeline(_Part)
 
-    def __init__(self, law: Callable[..., Any], *, inline: bool) -> None:
-        options = {"nopython": True, "error_model": "numpy", "forceinline": inline}
+    def __init__(self, law: Callable[..., Any], *, inline: bool, error_model: str) -> None:
+        options = {"nopython": True, "error_model": error_model, "forceinline": inline}
         wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(law, targetoptions={**options, **wrappers}, pipeline_class=self.pipeline)
 
@@ -187,11 +187,44 @@ def compiled(
     return whole
 
 
-def inline(law: Callable[..., Any]) -> None:
+def address_of(law: CPUDispatcher, *arguments: Any) -> int:
+    """The address of a law, compiled for arguments of these types, as long as `law` is kept."""
+    kinds = tuple(map(numba.typeof, arguments))
+    law.compile(kinds)
+    found = law.overloads[kinds]
+    return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+
+def at_address(law: Callable[..., Any]) -> None:
+    """Have kernels take a call of `law` for a call of the function at the address that comes first."""
+
+    class AtAddress(AbstractTemplate):
+        key = law
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            return signature(types.boolean, *args)
+
+    @lower_builtin(law, types.Integer, types.Any, types.Any)
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kinds, convention = sig.args[1:], context.call_conv
+        kind = convention.get_function_type(types.none, kinds)
+        function = builder.inttoptr(args[0], kind.as_pointer())
+        status, _ = convention.call_function(builder, function, types.none, kinds, args[1:])
+        return status.is_error
+
+    vars(law)["_numba_type_"] = types.Function(AtAddress)
+
+
+def inline(law: FunctionType) -> None:
     """Have kernels contain a law wherever they call it."""
-    part = _PartOfKernel(law, inline=True)
+    part(law, inline=True)
+
+
+def part(law: FunctionType, *, inline: bool = False, error_model: str = "numpy") -> None:
+    """Have kernels know a law, which Python calls as it is."""
+    of = _PartOfKernel(law, inline=inline, error_model=error_model)
     # the type alone does not keep the part
-    vars(law).update(_part=part, _numba_type_=types.Dispatcher(part))
+    vars(law).update(_part=of, _numba_type_=types.Dispatcher(of))
 
 
 # Pointers ------------------------------------------------------------------------------------------------------------

@@ -104,6 +104,14 @@ def by_reference(value: T) -> T:
 _parts.append(("reference", by_reference))
 
 
+def fails(address: int, inputs: tuple[Any, ...], row: Any) -> bool:
+    """In kernels: call the law at a `compiler.address_of` with these arguments; True if it raised an error."""
+    raise NotImplementedError  # Python calls a law by its name
+
+
+_parts.append(("at_address", fails))
+
+
 def referred(value: T) -> T:
     """In Python: a NamedTuple as kernels take it by one pointer; it reads as the NamedTuple. None stays None."""
     return cast(T, compiler().Referred(value)) if COMPILED and value is not None else value

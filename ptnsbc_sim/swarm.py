@@ -13,20 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.kernel import kernel, kernel_list, referred
+from ptnsbc_core.kernel import kernel_list, referred
 from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
 from ptnsbc_sim.disturbances.build import Disturbances, VehicleDisturbances, flight_disturbances
 from ptnsbc_sim.disturbances.links import last_received_by
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
-from ptnsbc_sim.plugins.loop import PluginLoop
+from ptnsbc_sim.plugins.loop import loop_of
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
-from ptnsbc_sim.tick import Loop, SwarmState, advance_all, sense, step_all
+from ptnsbc_sim.tick import Loop, SwarmState
 from ptnsbc_sim.track import FlightTrack, track_of
 from ptnsbc_sim.wiring import Wiring, obstacles_at, wire, wiring_of
 from ptnsbc_sim.world import World, measure_all
@@ -63,18 +63,6 @@ class HeadlessFlight(NamedTuple):
         seen = self.track.odometry[tick, row] if len(self.track.truth) else None
         sensors = WorldPlugins(self.scenario)
         return sensors.near(row, tick, self.truth[tick], seen, obstacles, keep_outs)
-
-
-@kernel
-def _fly(first: int, count: int, swarm: SwarmState, disturbances: Disturbances | None) -> None:
-    """Ticks first .. first + count - 1 of the whole swarm into its track.
-
-    What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
-    """
-    for tick in range(first, first + count):
-        sense(swarm, tick, disturbances)
-        step_all(tick, swarm, None, None, disturbances)
-        advance_all(tick, swarm, disturbances)
 
 
 def swarm_of(
@@ -151,6 +139,7 @@ def fly(
     scenario: Scenario,
     progress: Callable[[int, int], None] | None = None,
     room: HeadlessFlight | None = None,
+    loop: Loop | None = None,
 ) -> HeadlessFlight:
     """Fly a scenario headless.
 
@@ -159,23 +148,15 @@ def fly(
         progress: called with (ticks done, ticks in all) now and then.
         room: an earlier flight, whose track is overwritten where it fits; constants of its UAVs are used again
             where only the starts differ, and their approach turns as theirs does.
+        loop: with a law in it, in place of the one that the scenario names.
 
     Returns:
         The whole flight; the same scenario gives the same bytes.
     """
-    return flown(scenario, PluginLoop.of(scenario) or _fly, progress, room)
-
-
-def flown(
-    scenario: Scenario,
-    loop: Loop,
-    progress: Callable[[int, int], None] | None = None,
-    room: HeadlessFlight | None = None,
-) -> HeadlessFlight:
-    """As `fly`, with the law in `loop`."""
     ticks, size = scenario.timing.ticks, len(scenario.uav_ids)
     slots = slots_at_start(scenario)
     held = with_slots(scenario, slots) if slots else scenario
+    loop = loop or loop_of(held)
     like = room if room is not None and held.shares_all_but_starts(room.flown) else None
     if like is not None and turn_of(held) != like.swarm.configs[0].turn:
         like = None  # the one constant that follows from the starts

@@ -62,7 +62,7 @@ class SwarmState(NamedTuple):
     waves: Waves
 
 
-Loop = Callable[[int, int, SwarmState, Disturbances | None], None]
+Loop = Callable[[int, int, SwarmState, Disturbances | None], object]
 """Flies so many ticks from the first: the law is in it."""
 
 
@@ -100,7 +100,7 @@ def _mean_parent(
 
 
 @inline_kernel
-def _mode_at(wiring: Wiring, row: int, now_ns: int) -> int:
+def mode_at(wiring: Wiring, row: int, now_ns: int) -> int:
     """The mode of a UAV: it holds until it joins, and lands at the end of a mission that lands."""
     if now_ns >= wiring.landing_ns[row]:
         return MODE_LAND
@@ -148,7 +148,7 @@ def inputs_of(
         ages,
         swarm.near[row, : swarm.near_count[row]],
         seconds(behind * wiring.dt_ns),
-        _mode_at(wiring, row, now_ns),
+        mode_at(wiring, row, now_ns),
         seconds(now_ns),
     )
 

@@ -102,7 +102,7 @@ def fly_tuned(scenario: Scenario, law: str, progress: Progress | None = None) ->
     ) -> None:
         _fly_terminal(first, count, swarm_state, disturbances, laws)
 
-    return swarm.flown(scenario, loop, progress)
+    return swarm.fly(scenario, progress, loop=loop)
 
 
 def without_time_base(scenario: Scenario, kappa_1_s: float) -> Scenario:

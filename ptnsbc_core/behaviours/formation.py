@@ -75,6 +75,15 @@ class FormationErrors(NamedTuple):
     edge: Vector3  # e [m, ENU]: to the desired position relative to the parent
 
 
+@inline_kernel
+def place_beside_leader(config: AgentConfig, start_t: float) -> PlaceMotion:
+    """The place of a UAV beside the leader as it is flown, `start_t` [s] after the first epoch."""
+    if config.shape.moving:
+        duration = plan_duration(config.formation)
+        return places_from_rest(config.shape, config.trajectory, duration, start_t).own
+    return PlaceMotion(config.slot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
 @kernel
 def formation(
     position: Vector3,

@@ -25,7 +25,6 @@ from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
     NEVER_RECEIVED_S,
-    AgentConfig,
     AgentState,
     Array,
     NeighbourMotions,
@@ -38,7 +37,7 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.counters import UavCounters
 from ptnsbc_sim.disturbances.faults import without_position
-from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
+from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.roles import RoleChange, UavRole, moved_on
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.constants import PlannerLimits
@@ -109,11 +108,10 @@ class RoleHolder(UavRole):
 class UavController:
     """Inbox, control law and counters of one UAV."""
 
-    def __init__(
-        self, scenario: Scenario, uav_id: int, edges: CommunicationGraph, plugins: UavPlugins = OURS
-    ) -> None:
-        """`plugins`: in the place of ours."""
-        self._scenario, self._uav, self._edges, self._plugins = scenario, uav_id, edges, plugins
+    def __init__(self, scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> None:
+        """PluginError as of `UavPlugins`."""
+        self._scenario, self._uav, self._edges = scenario, uav_id, edges
+        self._plugins = UavPlugins.of(scenario, uav_id)
         self._roles = RoleHolder(scenario, uav_id) if scenario.formation.reconfigures else None
         self.config = agent_config(scenario, uav_id)
         self.inbox = Inbox(edges.senders(uav_id))
@@ -136,8 +134,7 @@ class UavController:
         self.slots = Stamped(t0_ns, held)
         flown, forgotten = with_slots(self._scenario, slots), NeighbourMotions(UNKNOWN, UNKNOWN)
         self.inbox.listen_to(self._edges.of(flown).senders(self._uav))
-        config = agent_config(flown, self._uav)
-        self.go_on(config, estimate_valid=False, motions=forgotten, last_t=math.inf)
+        self.go_on(flown, estimate_valid=False, motions=forgotten, last_t=math.inf)
 
     def follow(self, scenario: Scenario) -> None:
         """Fly by the mission as it goes on after a word, in the slot and the role that the UAV has."""
@@ -147,7 +144,7 @@ class UavController:
             scenario = with_slots(scenario, dict(zip(sorted(scenario.uav_ids), held, strict=True)))
         if self._roles is not None:
             scenario = self._roles.follow(scenario)
-        self.go_on(agent_config(scenario, self._uav))
+        self.go_on(scenario)
 
     def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
         """Take the role that follows from the present members; returns the step, in hold for an absent UAV."""
@@ -158,14 +155,16 @@ class UavController:
         if change is not None:
             self.inbox.listen_to(self._edges.of(change.after).senders(self._uav))
             moved = {} if self._agent is None else moved_on(self._agent.state, change)._asdict()
-            self.go_on(agent_config(change.after, self._uav), **moved)
+            self.go_on(change.after, **moved)
         return at._replace(mode=MODE_HOLD) if self._roles.holds(at.mode) else at
 
-    def go_on(self, config: AgentConfig, **changes: Any) -> None:
-        """Fly by other constants from the next step on, with the limits of the vehicle.
+    def go_on(self, scenario: Scenario, **changes: Any) -> None:
+        """Fly by the constants of another scenario from the next step on, with the limits of the vehicle.
 
         Trajectory and shape go on from where those before have come; `changes` are of the agent's state.
         """
+        config = agent_config(scenario, self._uav)
+        self._plugins = UavPlugins.of(scenario, self._uav)
         self.config = PlannerLimits.of(self.config).applied_to(config)
         if self._agent is not None:
             self._agent_config = self.limits.applied_to(config)
@@ -231,7 +230,7 @@ class UavController:
             wanted = (0.0, 0.0, 0.0)
             if at.mode == MODE_FORMATION:
                 heard = self.inbox.states(at.now_ns, cutoff_ns)
-                wanted = plugins.law.velocity(t, odometry, heard, inputs.near)
+                wanted = plugins.law.velocity(t, start_age_s, odometry, heard, inputs.near)
         outputs = self._agent.advance(inputs, t, dt, wanted, task)
         if plugins.controller is not None:
             outputs.wrench[:] = plugins.wrench(
@@ -351,8 +350,7 @@ class UavFlight:
         self.uav = uav_id
         self.scenario = scenario
         self.epochs = Epochs(scenario)
-        plugins = UavPlugins.of(scenario, uav_id)
-        self.controller = UavController(scenario, uav_id, edges, plugins)
+        self.controller = UavController(scenario, uav_id, edges)
         self.inbox = self.controller.inbox
         self.faults = UavFaults(scenario, uav_id, lockstep=edges.options.lockstep)
         self.decided = DecidedSlots(scenario) if scenario.formation.has_open_slots else None

@@ -1,14 +1,4 @@
-"""The hooks for plug-ins: with what each is called, when, and what it gives.
-
-| hook | called | in the place of |
-|---|---|---|
-| `law` | at every tick, by every follower | the formation law's velocity |
-| `task` | at every tick, by every follower, 19 times: value and differences | `formation.task` |
-| `controller` | at every tick, by every UAV | our controller |
-| `plant` | four times in each physics substep, for every vehicle | the equations of motion of the quadrotor |
-| `disturbance` | at the start of every control period, for every vehicle | nothing: it is added to the others |
-| `sensor` | at every reading, for every vehicle | our near-object sensor |
-| `trajectory`, `shape` | once, when the scenario is read (`scenario/reading/content.py`) | data of the scenario |
+"""The hooks for plug-ins: with what each is called, and what it gives. docs/laws.md says in the place of what.
 
 A scenario names a plug-in as `FILE.py:NAME`, or as the name of an entry point `HOOK.NAME` in `ptnsbc.plugins`. It is a
 pure function of its inputs: it must not remember anything, and its random numbers are in its inputs.
@@ -29,6 +19,7 @@ SAMPLES = 6
 """Random numbers that a disturbance and a sensor get at each call."""
 
 
+# Kernels (`ptnsbc_core.kernel`) make it: the digest of their sources has to count this file.
 class LawInputs(NamedTuple):
     """The input of a law at one tick; positions and velocities are ENU. K: senders heard, M: objects near."""
 
@@ -36,10 +27,12 @@ class LawInputs(NamedTuple):
     position: Array  # (3,) own [m]
     velocity: Array  # (3,) own [m/s]
     offset: Array  # (3,) own place relative to the leader [m]
+    offset_velocity: Array  # (3,) of this place [m/s], where the shape moves
     ids: NDArray[np.int64]  # (K,) parent, leader where it is heard, neighbours; ascending
     positions: Array  # (K, 3) of the senders [m]
     velocities: Array  # (K, 3) that they command [m/s]
     offsets: Array  # (K, 3) their places relative to the leader [m]
+    offset_velocities: Array  # (K, 3) of these places [m/s]
     ages_s: Array  # (K,) ages of what they sent
     near: Array  # (M, 7) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s]
     deadline_s: float  # of the formation, counted from the epoch
@@ -120,9 +113,8 @@ def _example(inputs: Callable[..., Any], **shapes: int | tuple[int, int]) -> tup
 
 _POINT: Vector3 = (0.0, 0.0, 0.0)
 _ROWS, _NEAR = (1, 3), (1, NEAR_COLUMNS)
-_LAW = _example(
-    LawInputs, ids=1, positions=_ROWS, velocities=_ROWS, offsets=_ROWS, ages_s=1, near=_NEAR
-)
+_SENDERS = dict.fromkeys(("positions", "velocities", "offsets", "offset_velocities"), _ROWS)
+_LAW = _example(LawInputs, ids=1, ages_s=1, near=_NEAR, **_SENDERS)
 _CONTROLLER = _example(ControllerInputs, odometry=ODOMETRY_SIZE, wrench=6)
 _PLANT = _example(PlantInputs, state=STATE_SIZE, wrench=6, push=6)
 _DISTURBANCE = _example(DisturbanceInputs, odometry=ODOMETRY_SIZE, samples=SAMPLES)

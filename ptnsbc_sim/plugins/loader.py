@@ -10,18 +10,22 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import linecache
 import math
 import os
 import re
 import sys
+import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any
+
+import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.kernel import COMPILED, compiler
@@ -94,6 +98,7 @@ class Plugin:
     hook: Hook
     function: FunctionType
     call: Callable[..., Any]  # compiled where it can be
+    address: int = 0  # of the compiled law, which takes its inputs and a row for its numbers
 
     def result(self, *inputs: Any) -> Any:
         """Result of the function.
@@ -106,7 +111,9 @@ class Plugin:
         except Exception as error:
             seen: Exception = error
             try:
-                self.function(*inputs)  # a compiled one does not know the line of its error
+                given = self.function(*inputs)  # a compiled one does not know the line of its error
+                if self.address and isinstance(error, ValueError):
+                    return given  # of another size
             except Exception as interpreted:
                 seen = interpreted
             near = ""
@@ -135,7 +142,7 @@ class Plugin:
             values = ", ".join(f"{number:g}" for number in numbers)
             raise PluginError(
                 f"{place_of(self.function)}: returned ({values}) at {at}: expected finite numbers"
-            )
+            ) from ArithmeticError()
         return numbers
 
     def refusal(self, result: object, expected: str) -> PluginError:
@@ -170,37 +177,84 @@ def load_plugin(name: str, named: str) -> Plugin:
     except TypeError as error:
         expected = f"expected a function of the inputs of a {name}"
         raise PluginError(f"{place_of(function)}: {error}: {expected}") from None
-    return Plugin(hook, function, _compiled(function, file, hook))
+    plugin = Plugin(hook, function, function)
+    return _compiled(plugin, file) if COMPILED else plugin
 
 
-def _compiled(function: FunctionType, file: Path, hook: Hook) -> Callable[..., Any]:
-    """The function compiled and kept on disk; as it is where numba cannot compile it, with a word."""
-    if not COMPILED:
-        return function
-    import numba
-
+def _compiled(plugin: Plugin, file: Path) -> Plugin:
+    """The plug-in compiled and kept on disk; as it is where numba cannot compile it, with a word."""
     from ptnsbc_core.compile_cache import CacheFolder, cache_root, source_digest
 
-    folder = None
-    if not any(hasattr(value, "py_func") for value in function.__globals__.values()):
+    folder, function, compile_for = None, plugin.function, compiler()
+    others = list(function.__globals__.values())
+    if not any(hasattr(other, "py_func") for other in others):
         # A function that calls compiled functions of other files is compiled anew: their changes would not be seen.
         digest = hashlib.sha256(source_digest().encode() + file.read_bytes()).hexdigest()[:16]
         folder = CacheFolder(cache_root() / "laws", digest)
-    compiled = compiler().compiled(function, folder, error_model="python")
+    for other in others:
+        if isinstance(other, FunctionType) and other.__module__ == function.__module__:
+            compile_for.part(other, error_model="python")
     try:
-        compiled.compile(tuple(numba.typeof(argument) for argument in hook.example))
+        if plugin.hook.name == "law":
+            return _law_for_kernels(plugin, folder)
+        compiled = compile_for.compiled(function, folder, error_model="python")
+        compile_for.address_of(compiled, *plugin.hook.example)
+        return replace(plugin, call=compiled)
     except Exception as error:  # not all of numba's errors are NumbaErrors: `global`, *inputs
+        began = time.perf_counter()
         try:
-            function(*hook.example)
-        except (AttributeError, NameError, TypeError):
-            return function  # it does not run either: its first call says why, with the line
-        lines = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).splitlines() or [type(error).__name__]
-        lines = [line for line in lines if line.strip() and not line.startswith("Failed in ")]
+            plugin.numbers(*plugin.hook.example, at="") if plugin.hook.size else plugin.result(
+                *plugin.hook.example
+            )
+        except PluginError as refused:
+            if not isinstance(refused.__cause__, ArithmeticError):
+                return plugin  # it does not run either: its first call says why, with the line
         print(
-            f"{hook.name} {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "
-            f"numba cannot compile it: {''.join(lines[:1]).strip()[:_LONGEST_VALUE]}",
+            f"{plugin.hook.name} {_why_not(function, str(error))}: {function.__name__} is interpreted, "
+            f"{1e6 * (time.perf_counter() - began):.0f} us a call",
             file=sys.stderr,
             flush=True,
         )
-        return function
-    return compiled
+        return plugin
+
+
+_REASONS = {
+    r"unexpected keyword argument '(\w+)'": "numba has no {} here",
+    r"(?:Untyped global name|Unknown attribute) '(\w+)'": "numba does not know {}",
+    r"Cannot unify .* for '([a-z]\w*)": "{} is of two types",
+}
+"""Errors of numba, and what they mean for a user."""
+
+
+def _why_not(function: FunctionType, error: str) -> str:
+    """File and line that numba cannot compile, with the reason and the text of the line."""
+    code, said = function.__code__, re.sub(r"\x1b\[[0-9;]*m", "", error)
+    at = re.search(rf"{re.escape(Path(code.co_filename).name)}(?:\", line | \()(\d+)", said)
+    line = int(at[1]) if at else code.co_firstlineno
+    found = ((words, re.search(kind, said)) for kind, words in _REASONS.items())
+    known = (words.format(match[1]) for words, match in found if match)
+    reason, text = next(known, "numba cannot compile it"), linecache.getline(code.co_filename, line)
+    return f"{code.co_filename}:{line}: {reason}: {text.strip()}"
+
+
+def _law_for_kernels(plugin: Plugin, folder: Any) -> Plugin:
+    """A law that a kernel calls by its address, and Python by the same code."""
+    law = plugin.function
+
+    def writes(inputs: Any, row: Any) -> None:
+        v = law(inputs)
+        if len(v) != 3:
+            raise ValueError
+        row[0], row[1], row[2] = v[0], v[1], v[2]
+
+    writes.__module__, writes.__qualname__ = law.__module__, law.__qualname__
+    compiled = compiler().compiled(writes, folder, error_model="python")
+    row = np.empty(plugin.hook.size)
+    address = compiler().address_of(compiled, *plugin.hook.example, row)
+
+    def call(inputs: Any) -> Any:
+        given = np.empty_like(row)
+        compiled(inputs, given)
+        return given
+
+    return replace(plugin, call=call, address=address)

@@ -7,12 +7,13 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from ptnsbc_core.behaviours.formation import place_beside_leader
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import AgentConfig, Array, OdometryLike, Vector3
 from ptnsbc_sim.plugins.formation_task import PluginTask, load_task
 from ptnsbc_sim.plugins.hooks import ControllerInputs, LawInputs
 from ptnsbc_sim.plugins.loader import Plugin, load_plugin
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, agent_config
 
 _REST: Vector3 = (0.0, 0.0, 0.0)
 
@@ -25,45 +26,52 @@ class Heard(NamedTuple):
     age_s: float
 
 
+def law_senders(scenario: Scenario, uav: int) -> tuple[int, ...]:
+    """The UAVs that the law of a follower hears, ascending."""
+    heard = {scenario.communication.parent(uav), *scenario.topology.neighbours.get(uav, ())}
+    heard |= {scenario.leader.id} if uav in scenario.topology.pinned else set()
+    return tuple(sorted(sender for sender in heard if sender is not None))
+
+
 class UavLaw:
-    """A law as one follower flies it."""
+    """A law as one follower flies it in a process; `loop` has the same for a headless flight."""
 
     def __init__(self, law: Plugin, scenario: Scenario, uav: int) -> None:
-        self.uav = uav
-        heard = {scenario.communication.parent(uav), *scenario.topology.neighbours.get(uav, ())}
-        heard |= {scenario.leader.id} if uav in scenario.topology.pinned else set()
-        self.senders = tuple(sorted(sender for sender in heard if sender is not None))
-        self._law = law
-        self._offset = scenario.offset(uav)
-        self._offsets = {sender: scenario.offset(sender) for sender in self.senders}
-        self._deadline_s = float(scenario.gains.formation.deadline_s)
-        self._max_speed = float(scenario.max_speed_m_s(uav))
+        self.law, self._own = law, agent_config(scenario, uav)
+        self._configs = {one: agent_config(scenario, one) for one in law_senders(scenario, uav)}
+        place_beside_leader(self._own, 0.0)  # it is compiled before the flight
 
-    def velocity(self, t: float, own: Array, heard: Iterable[Heard], near: Array) -> Vector3:
-        """The velocity [m/s, ENU] `t` [s] after the epoch; zero while nothing has been heard.
+    def velocity(
+        self, t: float, start_t: float, own: Array, heard: Iterable[Heard], near: Array
+    ) -> Vector3:
+        """The velocity [m/s, ENU], zero while nothing has been heard.
 
-        `own` is the odometry vector (13,); `heard` has the newest states of the `senders` of whom something came,
-        ascending; `near` (M, 7) is as in LawInputs.
+        `t` and `start_t` [s] count from the latest epoch and from the first; `own` is the odometry vector (13,);
+        `heard` has the newest states of the `senders` of whom something came, ascending; `near` (M, 7) is as in
+        LawInputs.
         """
         messages = list(heard)
         if not messages:
             return _REST
-        states = [message.state for message in messages]
+        places = [place_beside_leader(self._configs[one.sender], start_t) for one in messages]
+        place = place_beside_leader(self._own, start_t)
         inputs = LawInputs(
             t,
             own[:3].copy(),
             np.array(velocity_enu(own)),
-            self._offset,
+            np.array(place.position),
+            np.array(place.velocity),
             np.array([message.sender for message in messages], dtype=np.int64),
-            np.array([state[:3] for state in states]),
-            np.array([velocity_enu(state) for state in states]),
-            np.array([self._offsets[message.sender] for message in messages]),
+            np.array([message.state[:3] for message in messages]),
+            np.array([velocity_enu(message.state) for message in messages]),
+            np.array([other.position for other in places]),
+            np.array([other.velocity for other in places]),
             np.array([message.age_s for message in messages]),
             np.ascontiguousarray(near),
-            self._deadline_s,
-            self._max_speed,
+            self._own.formation.duration_s,
+            self._own.filter.max_speed,
         )
-        return cast(Vector3, self._law.numbers(inputs, at=f"t = {t:.3f} s"))
+        return cast(Vector3, self.law.numbers(inputs, at=f"t = {t:.3f} s"))
 
 
 class UavPlugins(NamedTuple):
@@ -80,10 +88,10 @@ class UavPlugins(NamedTuple):
     def of(cls, scenario: Scenario, uav: int) -> UavPlugins:
         """The plug-ins that a scenario names for a UAV: the leader has neither law nor task."""
         named, follows = scenario.plugins, uav != scenario.leader.id
-        law, task = (scenario.law, named.task) if follows else (None, None)
+        law = None if scenario.law is None else load_plugin("law", scenario.law)
         return cls(
-            None if law is None else UavLaw(load_plugin("law", law), scenario, uav),
-            None if task is None else load_task(task),
+            UavLaw(law, scenario, uav) if law is not None and follows else None,
+            load_task(named.task) if named.task is not None and follows else None,
             None if named.controller is None else load_plugin("controller", named.controller),
         )
 
@@ -115,7 +123,3 @@ class UavPlugins(NamedTuple):
             config.controller.gravity,
         )
         return self.controller.numbers(inputs, at=f"t = {t:.3f} s")
-
-
-OURS = UavPlugins()
-"""A UAV without plug-ins."""

@@ -98,14 +98,14 @@ REQUIREMENTS = (
         lambda f: f.mission,
         (NO_CHANGES,),
     ),
-    Requirement("mission.legs", lambda f: f.mission, (PLANNED, NO_LAW)),
+    Requirement("mission.legs", lambda f: f.mission, (PLANNED,)),
     Requirement(
         "a mission that changes the shape or splits", lambda f: moves_shape(f.mission), (RELATIVE,)
     ),
     Requirement("a leg of kind split", _splits, (WORLD, FIXED, NO_ROTATION)),
     Requirement(
-        "a law or a task of your own, which is told one place for each UAV",
-        lambda f: f.law or f.plugins.task,
+        "a task of your own, which is told one place for each UAV",
+        lambda f: f.plugins.task,
         (FIXED, AT_REST),
     ),
     Requirement("a law, which flies the followers without a task", lambda f: f.law, (NO_TASK,)),

@@ -37,7 +37,6 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
 from ptnsbc_nodes.uav.uav_controller import step_time
 from ptnsbc_sim.disturbances.faults import gone
-from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_sim.sweep.runner import depend_on_parent
@@ -63,10 +62,7 @@ class ReplayState:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
-        self.uavs = {
-            uav: UavReplay(scenario, uav, edges, self.slots, fleet, UavPlugins.of(scenario, uav))
-            for uav in uavs
-        }
+        self.uavs = {uav: UavReplay(scenario, uav, edges, self.slots, fleet) for uav in uavs}
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         for replay in self.uavs.values():
             needed.update(heard_topics(replay.senders))

@@ -37,7 +37,6 @@ from ptnsbc_nodes.uav.step_log import (
     decode_snapshot,
 )
 from ptnsbc_nodes.uav.uav_controller import StepTime, UavController, UavFaults
-from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.constants import PlannerLimits
 
@@ -256,7 +255,6 @@ class UavReplay:
         edges: CommunicationGraph,
         decided: DecidedSlots,
         fleet: str = "",
-        plugins: UavPlugins = OURS,
     ) -> None:
         self.uav = uav
         self.senders = edges.senders(uav)
@@ -265,7 +263,7 @@ class UavReplay:
         self.account = Account()
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
-        self._plugins, self._edges = plugins, edges
+        self._edges = edges
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
         self._snapshot: SnapshotTemplate | None = None
@@ -283,7 +281,7 @@ class UavReplay:
         self.next_step = None
         self._held: dict[str, Stamped] = {}
         self.inputs = source_topics(self.uav, self.senders)
-        self.controller = UavController(self._scenario, self.uav, self._edges, self._plugins)
+        self.controller = UavController(self._scenario, self.uav, self._edges)
         if limits is not None:
             self.controller.config = limits.applied_to(self.controller.config)
         inbox = self.controller.inbox

@@ -33,7 +33,6 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.emergency import APART, Order
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.uav_controller import UavController, step_time
-from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.constants import PlannerLimits
 
@@ -159,9 +158,7 @@ class FleetUav:
 
     def new_controller(self):
         """The controller as a process has it that begins."""
-        scenario = self.fleet.scenario
-        plugins = UavPlugins.of(scenario, self.id)
-        return UavController(scenario, self.id, self.edges, plugins)
+        return UavController(self.fleet.scenario, self.id, self.edges)
 
     def start_again(self):
         """The UAV process that has ended begins anew: legs and limits are latched, all else is forgotten."""

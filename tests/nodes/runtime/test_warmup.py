@@ -55,4 +55,4 @@ def fly(scenario, edges, controllers, ticks):
         )
         for controller in controllers.values():
             assert len(controller.state.obstacle_memory)  # as the step log reads it
-            controller.go_on(controller.config)  # as the next leg of a mission does
+            controller.go_on(scenario)  # as the next leg of a mission does

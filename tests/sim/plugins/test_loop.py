@@ -7,15 +7,49 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptnsbc_sim.plugins.loop import PluginLoop
+from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "plugins"
 
 
-def test_without_functions_the_loop_is_ours() -> None:
-    assert PluginLoop.of(load_scenario("paper_5_free")) is None
+LAWS = EXAMPLES.parent / "laws"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_a_compiled_law_flies_as_the_same_one_between_kernels(tmp_path: Path, loss: float) -> None:
+    """One that numba cannot compile: of another text and the same numbers."""
+    keys = {"timing.duration_s": 0.5, "communication.loss": loss}
+    text = (LAWS / "potential_field.py").read_text("utf-8")
+    (tmp_path / "slow.py").write_text(
+        "import json\n" + text.replace("    now =", "    json.loads('1')\n    now ="), "utf-8"
+    )
+    compiled, slow = (
+        fly(load_scenario("paper_5_free", {**keys, "law": f"{folder}:potential_field"})).track
+        for folder in (LAWS / "potential_field.py", tmp_path / "slow.py")
+    )
+    assert compiled.odometry.tobytes() == slow.odometry.tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("line", "match"),
+    [
+        ("if early < 1: raise ValueError('no way')", r"mine\.py:4: law: ValueError: no way"),
+        ("x = 1.0 / early", r"mine\.py:4: law: ZeroDivisionError"),
+        ("x = 0.0 if early else np.inf", r"returned \(inf, 0, 0\) at t = 0\.100 s: "),
+    ],
+)
+def test_a_law_that_fails_in_the_middle_of_a_flight_is_named(
+    tmp_path: Path, line: str, match: str
+) -> None:
+    lines = "    x, early = 0.0, int(inputs.t < 0.095)", f"    {line}", "    return (x, 0.0, 0.0)"
+    file = tmp_path / "mine.py"
+    file.write_text("\n".join(["import numpy as np", "def law(inputs):", *lines]) + "\n", "utf-8")
+    with pytest.raises(PluginError, match=match):
+        fly(load_scenario("paper_5_free", {"timing.duration_s": 0.5, "law": f"{file}:law"}))
 
 
 @pytest.mark.slow

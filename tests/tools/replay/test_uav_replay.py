@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -18,6 +19,14 @@ from ptnsbc_tools.replay.rerun import rerun
 LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
 
 
+def _flown(folder: Path, law: str, **keys: Any) -> Path:
+    pytest.importorskip("rclpy")
+    changes = {key.replace("__", "."): value for key, value in keys.items()}
+    scenario = load("paper_5_free").with_({"timing.duration_s": 1.2, **changes}, law=law)
+    fly(scenario, checked=False).save(folder / "bag")
+    return folder / "bag"
+
+
 @pytest.fixture(
     scope="module",
     params=[
@@ -26,12 +35,31 @@ LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
     ],
 )
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("rclpy")
-    keys = {"timing.duration_s": 1.2, "communication.loss": request.param}
-    flown = fly(load("paper_5_free").with_(keys, law=f"{LAW}:consensus"), checked=False)
-    folder = tmp_path_factory.mktemp("law") / "bag"
-    flown.save(folder)
-    return folder
+    folder = tmp_path_factory.mktemp("law")
+    return _flown(folder, f"{LAW}:consensus", communication__loss=request.param)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"formation__assignment": "optimal", "formation__turn_rad": 0},
+        {
+            "formation__frame": "heading",
+            "formation__task": "relative_position",
+            "leader__trajectory__heading": "path",
+            "formation__changes": [{"at_s": 0.4, "over_s": 5, "scale": [1.5, 1.5, 1]}],
+        },
+    ],
+    ids=["open slots", "places that move"],
+)
+def test_a_law_gives_the_same_bytes_wherever_its_places_are(
+    tmp_path: Path, keys: dict[str, Any]
+) -> None:
+    """What a kernel flew for all UAVs at once, the controller of each flies by its messages."""
+    bag = _flown(tmp_path, f"{LAW}:consensus", **keys)
+    code, out, _ = _rerun(bag, "--plugin", f"{LAW}:consensus", "--json")
+    assert (code, json.loads(out)["verdict"]) == (0, "equal")
 
 
 def _rerun(*words: object) -> tuple[int, str, str]:
@@ -40,19 +68,20 @@ def _rerun(*words: object) -> tuple[int, str, str]:
 
 
 def test_the_file_gives_the_same_bytes(bag: Path) -> None:
-    code, out, _ = _rerun(bag, "--law", f"{LAW}:consensus", "--json")
+    code, out, _ = _rerun(bag, "--plugin", f"{LAW}:consensus", "--json")
     assert (code, json.loads(out)["verdict"]) == (0, "equal")
 
 
-def test_another_law_gives_others(bag: Path) -> None:
-    other = LAW.with_name("potential_field.py")
-    assert _rerun(bag, "--law", f"{other}:potential_field")[0] == 1
+def test_another_law_of_this_name_gives_others(bag: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.py"
+    other.write_text(LAW.read_text("utf-8").replace("GAIN_1_S = 2.0", "GAIN_1_S = 1.0"), "utf-8")
+    assert _rerun(bag, "--plugin", f"{other}:consensus")[0] == 1
 
 
 def test_without_the_file_nothing_is_executed(bag: Path) -> None:
     code, out, err = _rerun(bag)
     assert (code, out) == (2, "")
-    assert "consensus.py:consensus, which a bag does not carry: give it with --law" in err
+    assert "consensus.py:consensus, which a bag does not carry: give it with --plugin" in err
     read = read_bag(bag)
     with pytest.raises(PluginError, match="a bag names a law and does not carry it"):
         rerun(read, scenario_of(read, None))
