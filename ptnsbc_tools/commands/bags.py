@@ -270,17 +270,11 @@ def replay(
         Path | None,
         option("--scenario FILE", "--rerun: use this file and not the attached scenario."),
     ] = None,
-    law: Annotated[
-        str | None,
-        option(
-            "--law FILE.py:NAME", "--rerun: execute this law, of a bag whose scenario names one."
-        ),
-    ] = None,
     plugin: Annotated[
         list[str] | None,
         option(
             "--plugin FILE.py:NAME",
-            "--rerun: execute this task or controller, of a bag whose scenario names it; repeatable.",
+            "--rerun: execute this law, task or controller, which the scenario of the bag names; repeatable.",
         ),
     ] = None,
     json: JsonOption = False,
@@ -298,7 +292,7 @@ def replay(
     from ptnsbc_tools.replay.rerun import EQUAL
 
     began = time.monotonic()
-    done = library.rerun(bag, scenario=scenario, law=law, plugins=plugin or (), progress=True)
+    done = library.rerun(bag, scenario=scenario, plugins=plugin or (), progress=True)
     seconds = time.monotonic() - began
     if json:
         console.print_json(done.as_json(seconds))

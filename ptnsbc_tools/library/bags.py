@@ -211,7 +211,6 @@ def rerun(
     bag: str | Path,
     *,
     scenario: str | Path | None = None,
-    law: str | None = None,
     plugins: Sequence[str] = (),
     progress: bool | None = None,
 ) -> Rerun:
@@ -219,8 +218,7 @@ def rerun(
 
     Args:
         scenario: scenario file to use instead of the attached one.
-        law: FILE.py:NAME to execute, of a bag whose scenario names a law.
-        plugins: FILE.py:NAME to execute, of a bag whose scenario names a task or a controller.
+        plugins: FILE.py:NAME to execute, of a bag whose scenario names a law, a task or a controller.
 
     Returns:
         What was compared, byte for byte; `verdict` is the word, `first` the first difference.
@@ -232,7 +230,7 @@ def rerun(
     path = Path(bag)
     found = read_bag(path)
     flown = scenario_of(found, None if scenario is None else Path(scenario))
-    flown = _trusted(path, flown, law, plugins)
+    flown = _trusted(path, flown, plugins)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_fleet
 
@@ -241,22 +239,22 @@ def rerun(
     return runs.rerun(found, flown, progress, jobs)
 
 
-def _trusted(path: Path, flown: Scenario, law: str | None, plugins: Sequence[str]) -> Scenario:
+def _trusted(path: Path, flown: Scenario, plugins: Sequence[str]) -> Scenario:
     """The scenario of a bag with the files of its plug-ins; PluginError when one that it names is not given."""
-    changes = {} if law is None else {"law": law}
     given = {plugin.rpartition(":")[2]: plugin for plugin in plugins}
-    for kind, option, named in (
-        ("law", "--law", flown.law),
-        ("task", "--plugin", flown.plugins.task),
-        ("controller", "--plugin", flown.plugins.controller),
+    changes: dict[str, str] = {}
+    for key, named in (
+        ("law", flown.law),
+        ("plugins.task", flown.plugins.task),
+        ("plugins.controller", flown.plugins.controller),
     ):
-        if named is None or Path(named).is_absolute() or kind in changes:
+        if named is None or Path(named).is_absolute():
             continue
         name = named.rpartition(":")[2]
-        if kind == "law" or name not in given:
+        if name not in given:
             raise PluginError(
-                f"{path}: flown with the {kind} {named}, which a bag does not carry: give it with {option} "
-                f"FILE.py:{name}"
+                f"{path}: flown with the {key.rpartition('.')[2]} {named}, which a bag does not carry: "
+                f"give it with --plugin FILE.py:{name}"
             )
-        changes[f"plugins.{kind}"] = given[name]
+        changes[key] = given[name]
     return flown.with_(changes) if changes else flown
