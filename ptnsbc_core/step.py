@@ -299,13 +299,18 @@ def task_points(
 
 
 @inline_kernel
+def epoch_begins(state: AgentState, t: float) -> bool:
+    """True at the first step, and at that of a later epoch, from which `t` [s] counts."""
+    return state.mode == _NO_MODE or t < state.last_t
+
+
+@inline_kernel
 def _begins_anew(
     state: AgentState, motions: NeighbourMotions, estimate_valid: bool, t: float
 ) -> bool:
     """True at an epoch, and when the leader's estimate or the parent is heard for the first time or lost."""
     return (
-        state.mode == _NO_MODE
-        or t < state.last_t
+        epoch_begins(state, t)
         or state.estimate_valid != estimate_valid
         or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
     )

@@ -248,7 +248,7 @@ def step_all(
     tasks: Sequence[TaskGeometry] | None,
     disturbances: Disturbances | None,
 ) -> None:
-    """The control step of every UAV that computes: `velocities` (N, 3) [m/s, ENU] and `tasks` are of followers."""
+    """The control step of every UAV that computes; `velocities` (N, 3) [m/s, ENU] and `tasks` are of followers."""
     wiring, dt = swarm.wiring, seconds(swarm.wiring.dt_ns)
     for row in range(swarm.bodies.shape[0]):
         if not computes(swarm, tick, row, disturbances):

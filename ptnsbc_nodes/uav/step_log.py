@@ -99,12 +99,13 @@ class SnapshotTemplate:
     """Encoder of `/uavN/snapshot`."""
 
     def __init__(self, controller: UavController) -> None:
-        self.label = _label(controller.state)
-        self._template = RowTemplate(self.label, _length(controller.state))
+        kept = len(controller.memory)
+        self.label = _label(controller.state, kept)
+        self._template = RowTemplate(self.label, _length(controller.state) + kept)
 
     def encode(self, sequence: int, controller: UavController) -> bytes:
-        """State, counters and limits after step number `sequence`."""
-        rest = (controller.counters.numbers(), controller.limits)
+        """State, counters, limits and memory of the law after step number `sequence`."""
+        rest = (controller.counters.numbers(), controller.limits, controller.memory)
         return self._template.floats(
             np.concatenate(([sequence], *_leaves(controller.state), *rest))
         )
@@ -137,11 +138,12 @@ def _sizes(state: AgentState) -> list[int]:
     return [sum(leaf.size for leaf in _leaves(field)) for field in state]
 
 
-def _label(state: AgentState) -> str:
+def _label(state: AgentState, kept: int) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
     words = " ".join(f"{name}:{size}" for name, size in counts)
     limits = len(PlannerLimits._fields)
-    return f"sequence:1 {words} counters:{UavCounters.SIZE} limits:{limits}"
+    law = f" law:{kept}" if kept else ""
+    return f"sequence:1 {words} counters:{UavCounters.SIZE} limits:{limits}{law}"
 
 
 class ControllerSnapshot(NamedTuple):
@@ -151,6 +153,7 @@ class ControllerSnapshot(NamedTuple):
     state: AgentState
     counters: Floats  # (UavCounters.SIZE,)
     limits: PlannerLimits
+    memory: Floats  # (M,) of a law of the user
 
 
 def current_label(label: str) -> str:
@@ -158,12 +161,15 @@ def current_label(label: str) -> str:
     return label.replace(" tally:", " counters:", 1)
 
 
-def decode_snapshot(label: str, numbers: Floats, like: AgentState) -> ControllerSnapshot:
-    """The snapshot in a message; WireError when its state is not of the shape of `like`."""
-    if current_label(label) != _label(like) or len(numbers) != _length(like):
-        raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
+def decode_snapshot(
+    label: str, numbers: Floats, like: AgentState, kept: int = 0
+) -> ControllerSnapshot:
+    """The snapshot in a message; WireError unless it has a state like this, and `kept` numbers of a law."""
+    expected, size = _label(like, kept), _length(like)
+    if current_label(label) != expected or len(numbers) != size + kept:
+        raise WireError(f"snapshot with {label!r}: expected {expected!r}")
     at = 1 + sum(_sizes(like))
     counters = numbers[at : at + UavCounters.SIZE]
-    limits = PlannerLimits(*(float(number) for number in numbers[at + UavCounters.SIZE :]))
+    limits = PlannerLimits(*map(float, numbers[at + UavCounters.SIZE : size]))
     state: AgentState = _like(like, iter(numbers[1:at].tolist()))
-    return ControllerSnapshot(int(numbers[0]), state, counters, limits)
+    return ControllerSnapshot(int(numbers[0]), state, counters, limits, numbers[size:])

@@ -20,6 +20,7 @@ from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
+from ptnsbc_core.step import epoch_begins
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     MODE_FORMATION,
@@ -112,6 +113,8 @@ class UavController:
         """PluginError as of `UavPlugins`."""
         self._scenario, self._uav, self._edges = scenario, uav_id, edges
         self._plugins = UavPlugins.of(scenario, uav_id)
+        self.memory: Array = np.array(self._plugins.memory)
+        """What the law of the user keeps (M,)."""
         self._roles = RoleHolder(scenario, uav_id) if scenario.formation.reconfigures else None
         self.config = agent_config(scenario, uav_id)
         self.inbox = Inbox(edges.senders(uav_id))
@@ -204,8 +207,9 @@ class UavController:
         self.restart()
         self.counters = UavCounters()
 
-    def resume(self, state: AgentState, counters: Array) -> None:
-        """Continue from the state and the counters of another controller."""
+    def resume(self, state: AgentState, counters: Array, memory: Array) -> None:
+        """Continue from the state, the counters and the memory of another controller."""
+        self.memory = memory
         self._agent = Agent.resumed(self.config, state)
         self.counters.restore(counters)
         self._agent_config = self.config
@@ -229,8 +233,12 @@ class UavController:
         if plugins.law is not None:  # at rest while it does not count
             wanted = (0.0, 0.0, 0.0)
             if at.mode == MODE_FORMATION:
+                if plugins.memory and epoch_begins(self._agent.state, t):
+                    self.memory = np.array(plugins.memory)
                 heard = self.inbox.states(at.now_ns, cutoff_ns)
-                wanted = plugins.law.velocity(t, start_age_s, odometry, heard, inputs.near)
+                wanted, self.memory = plugins.law.velocity(
+                    t, start_age_s, odometry, heard, inputs.near, self.memory
+                )
         outputs = self._agent.advance(inputs, t, dt, wanted, task)
         if plugins.controller is not None:
             outputs.wrench[:] = plugins.wrench(

@@ -1,7 +1,7 @@
 """The hooks for plug-ins: with what each is called, and what it gives. docs/laws.md says in the place of what.
 
 A scenario names a plug-in as `FILE.py:NAME`, or as the name of an entry point `HOOK.NAME` in `ptnsbc.plugins`. It is a
-pure function of its inputs: it must not remember anything, and its random numbers are in its inputs.
+pure function of its inputs: its random numbers and the memory of a law are in them.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ class LawInputs(NamedTuple):
     near: Array  # (M, 7) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s]
     deadline_s: float  # of the formation, counted from the epoch
     max_speed_m_s: float  # to which the command is limited
+    memory: Array  # (M,) what the law gave beside its velocity at the tick before
 
 
 class ControllerInputs(NamedTuple):
@@ -114,7 +115,7 @@ def _example(inputs: Callable[..., Any], **shapes: int | tuple[int, int]) -> tup
 _POINT: Vector3 = (0.0, 0.0, 0.0)
 _ROWS, _NEAR = (1, 3), (1, NEAR_COLUMNS)
 _SENDERS = dict.fromkeys(("positions", "velocities", "offsets", "offset_velocities"), _ROWS)
-_LAW = _example(LawInputs, ids=1, ages_s=1, near=_NEAR, **_SENDERS)
+_LAW = _example(LawInputs, ids=1, ages_s=1, near=_NEAR, memory=0, **_SENDERS)
 _CONTROLLER = _example(ControllerInputs, odometry=ODOMETRY_SIZE, wrench=6)
 _PLANT = _example(PlantInputs, state=STATE_SIZE, wrench=6, push=6)
 _DISTURBANCE = _example(DisturbanceInputs, odometry=ODOMETRY_SIZE, samples=SAMPLES)

@@ -18,6 +18,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -33,6 +34,7 @@ from ptnsbc_sim.plugins import NAMED, REFUSED, USER_CODE
 from ptnsbc_sim.plugins.hooks import HOOKS, Hook
 
 _LONGEST_VALUE = 120
+_MOST_KEPT = 1000  # numbers of the memory of a law
 _named: set[Path] = set()
 
 
@@ -98,6 +100,7 @@ class Plugin:
     hook: Hook
     function: FunctionType
     call: Callable[..., Any]  # compiled where it can be
+    memory: tuple[float, ...] = ()  # first value of what a law keeps, by its attribute `memory`
     address: int = 0  # of the compiled law, which takes its inputs and a row for its numbers
 
     def result(self, *inputs: Any) -> Any:
@@ -126,18 +129,21 @@ class Plugin:
             ) from error
 
     def numbers(self, *inputs: Any, at: str) -> tuple[float, ...]:
-        """The numbers that the function gives; `at` is the instant, for messages.
+        """The numbers that the function gives, of a law with its memory; `at` is the instant, for messages.
 
         Raises:
-            PluginError: it raised an error, or gave something else than `hook.size` finite numbers.
+            PluginError: it raised an error, or gave something else than `hook.size` finite numbers and its memory.
         """
-        result = self.result(*inputs)
+        result, kept = self.result(*inputs), len(self.memory)
+        sizes = [self.hook.size, kept] if kept else [self.hook.size]
         try:
-            numbers = tuple(float(number) for number in result)
+            parts = [[float(number) for number in part] for part in (result if kept else [result])]
         except (TypeError, ValueError):
-            numbers = ()
-        if len(numbers) != self.hook.size:
-            raise self.refusal(result, f"expected {self.hook.gives}")
+            parts = []
+        if [len(part) for part in parts] != sizes:
+            beside = f", and beside it its memory of {kept} numbers" if kept else ""
+            raise self.refusal(result, f"expected {self.hook.gives}{beside}")
+        numbers = tuple(number for part in parts for number in part)
         if not all(map(math.isfinite, numbers)):
             values = ", ".join(f"{number:g}" for number in numbers)
             raise PluginError(
@@ -177,8 +183,22 @@ def load_plugin(name: str, named: str) -> Plugin:
     except TypeError as error:
         expected = f"expected a function of the inputs of a {name}"
         raise PluginError(f"{place_of(function)}: {error}: {expected}") from None
-    plugin = Plugin(hook, function, function)
+    memory = _memory_of(function) if name == "law" else ()
+    if memory:
+        hook = hook._replace(example=(hook.example[0]._replace(memory=np.array(memory)),))
+    plugin = Plugin(hook, function, function, memory)
     return _compiled(plugin, file) if COMPILED else plugin
+
+
+def _memory_of(function: FunctionType) -> tuple[float, ...]:
+    """The first memory of a law; none where it names none."""
+    named = getattr(function, "memory", ())
+    with suppress(TypeError, ValueError):
+        memory = tuple(map(float, named))
+        if len(memory) <= _MOST_KEPT and all(map(math.isfinite, memory)):
+            return memory
+    expected = f"expected at most {_MOST_KEPT} finite numbers"
+    raise PluginError(f"{place_of(function)}: memory = {named!r}: {expected}")
 
 
 def _compiled(plugin: Plugin, file: Path) -> Plugin:
@@ -239,22 +259,30 @@ def _why_not(function: FunctionType, error: str) -> str:
 
 def _law_for_kernels(plugin: Plugin, folder: Any) -> Plugin:
     """A law that a kernel calls by its address, and Python by the same code."""
-    law = plugin.function
+    function, kept = plugin.function, len(plugin.memory)
+
+    def without_memory(inputs: Any) -> Any:
+        return function(inputs), inputs.memory
+
+    law = function if kept else without_memory
+    compiler().part(law, error_model="python")
 
     def writes(inputs: Any, row: Any) -> None:
-        v = law(inputs)
-        if len(v) != 3:
+        v, memory = law(inputs)
+        if len(v) != 3 or len(memory) != kept:
             raise ValueError
         row[0], row[1], row[2] = v[0], v[1], v[2]
+        for k in range(kept):
+            row[3 + k] = memory[k]
 
-    writes.__module__, writes.__qualname__ = law.__module__, law.__qualname__
+    writes.__module__, writes.__qualname__ = function.__module__, function.__qualname__
     compiled = compiler().compiled(writes, folder, error_model="python")
-    row = np.empty(plugin.hook.size)
+    row = np.empty(plugin.hook.size + kept)
     address = compiler().address_of(compiled, *plugin.hook.example, row)
 
     def call(inputs: Any) -> Any:
         given = np.empty_like(row)
         compiled(inputs, given)
-        return given
+        return (given[:-kept], given[-kept:]) if kept else given
 
     return replace(plugin, call=call, address=address)

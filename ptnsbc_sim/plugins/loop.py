@@ -13,7 +13,7 @@ from ptnsbc_core.behaviours.formation import place_beside_leader
 from ptnsbc_core.kernel import fails, kernel, kernel_list, referred
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.nanoseconds import seconds
-from ptnsbc_core.step import TaskPoints, task_points
+from ptnsbc_core.step import TaskPoints, epoch_begins, task_points
 from ptnsbc_core.types import MODE_FORMATION, Array
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.links import last_state_received
@@ -60,7 +60,8 @@ class _Guides(NamedTuple):
     ids: NDArray[np.int64]  # (N,)
     senders: NDArray[np.int64]  # (N, S) rows, ascending; -1 beyond the last, and of the leader
     received: NDArray[np.int64]  # (T, N, S) tick of the newest state received, or -1
-    given: Array  # (N, 3) newest velocity [m/s, ENU]
+    first: Array  # (M,) memory at an epoch
+    given: Array  # (N, 3 + M) newest velocity [m/s, ENU] and memory
 
 
 def _guides_of(scenario: Scenario, law: Plugin) -> _Guides:
@@ -74,8 +75,9 @@ def _guides_of(scenario: Scenario, law: Plugin) -> _Guides:
         for k, other in enumerate(others):
             senders[row, k] = ids.index(other)
             received[:, row, k] = last_state_received(scenario, ids[row], other)
-    given, numbers = np.zeros((len(ids), 3)), np.array(ids, dtype=np.int64)
-    return _Guides(law.address, numbers, senders, received, given)
+    first, numbers = np.array(law.memory), np.array(ids, dtype=np.int64)
+    given = np.zeros((len(ids), 3 + len(first)))
+    return _Guides(law.address, numbers, senders, received, first, given)
 
 
 @kernel
@@ -83,12 +85,14 @@ def _known(
     tick: int, row: int, swarm: SwarmState, disturbances: Disturbances | None, guides: _Guides
 ) -> LawInputs:
     """What UAV number `row` knows, without senders where it does not follow the law; then its velocity is zero."""
-    wiring, track = swarm.wiring, swarm.track
+    wiring, track, given = swarm.wiring, swarm.track, guides.given[row]
     now_ns, t = tick * wiring.dt_ns, since_epoch(wiring, tick, row)
     senders, count = guides.senders[row], 0
     follows = senders[0] >= 0 and computes(swarm, tick, row, disturbances)
     follows = follows and mode_at(wiring, row, now_ns) == MODE_FORMATION
-    store3(guides.given[row], 0, (0.0, 0.0, 0.0))
+    if follows and epoch_begins(swarm.states[row], t):
+        store(given, 3, guides.first)
+    store3(given, 0, (0.0, 0.0, 0.0))
     ids, ages_s = np.zeros(len(senders), dtype=np.int64), np.zeros(len(senders))
     theirs = np.zeros((4, len(senders), 3))  # positions, velocities, places, their velocities
     for k in range(len(senders) if follows else 0):
@@ -117,6 +121,7 @@ def _known(
         swarm.near[row, : swarm.near_count[row]],
         config.formation.duration_s,
         config.filter.max_speed,
+        given[3:].copy(),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,9 +42,15 @@ class UavLaw:
         place_beside_leader(self._own, 0.0)  # it is compiled before the flight
 
     def velocity(
-        self, t: float, start_t: float, own: Array, heard: Iterable[Heard], near: Array
-    ) -> Vector3:
-        """The velocity [m/s, ENU], zero while nothing has been heard.
+        self,
+        t: float,
+        start_t: float,
+        own: Array,
+        heard: Iterable[Heard],
+        near: Array,
+        memory: Array,
+    ) -> tuple[Vector3, Array]:
+        """The velocity [m/s, ENU], zero while nothing has been heard, and the memory (M,) for the next step.
 
         `t` and `start_t` [s] count from the latest epoch and from the first; `own` is the odometry vector (13,);
         `heard` has the newest states of the `senders` of whom something came, ascending; `near` (M, 7) is as in
@@ -52,7 +58,7 @@ class UavLaw:
         """
         messages = list(heard)
         if not messages:
-            return _REST
+            return _REST, memory
         places = [place_beside_leader(self._configs[one.sender], start_t) for one in messages]
         place = place_beside_leader(self._own, start_t)
         inputs = LawInputs(
@@ -70,8 +76,10 @@ class UavLaw:
             np.ascontiguousarray(near),
             self._own.formation.duration_s,
             self._own.filter.max_speed,
+            memory.copy(),
         )
-        return cast(Vector3, self.law.numbers(inputs, at=f"t = {t:.3f} s"))
+        x, y, z, *kept = self.law.numbers(inputs, at=f"t = {t:.3f} s")
+        return (x, y, z), np.array(kept)
 
 
 class UavPlugins(NamedTuple):
@@ -83,6 +91,7 @@ class UavPlugins(NamedTuple):
     law: UavLaw | None = None
     task: PluginTask | None = None
     controller: Plugin | None = None
+    memory: tuple[float, ...] = ()  # of the law at an epoch, also where this UAV does not follow it
 
     @classmethod
     def of(cls, scenario: Scenario, uav: int) -> UavPlugins:
@@ -93,6 +102,7 @@ class UavPlugins(NamedTuple):
             UavLaw(law, scenario, uav) if law is not None and follows else None,
             load_task(named.task) if named.task is not None and follows else None,
             None if named.controller is None else load_plugin("controller", named.controller),
+            () if law is None else law.memory,
         )
 
     def wrench(

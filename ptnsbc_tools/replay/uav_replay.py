@@ -297,7 +297,7 @@ class UavReplay:
         self.reset(found.limits)
         if SLOTS in note.used:
             self.take_slot(note.used[SLOTS].stamp_ns)
-        self.controller.resume(found.state, found.counters)
+        self.controller.resume(found.state, found.counters, found.memory)
         self.next_step = note.sequence + 1
 
     def follow(self, scenario: Scenario | None) -> None:
@@ -321,7 +321,7 @@ class UavReplay:
         level[6] = 1.0
         # A state that has the shapes of all states.
         like = Agent(self.controller.config, level).state
-        return decode_snapshot(row.label, numbers, like=like)
+        return decode_snapshot(row.label, numbers, like, len(self.controller.memory))
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message into the inbox."""

@@ -74,7 +74,7 @@ def test_a_controller_continues_from_a_snapshot():
     assert old.counters.tobytes() == memory.counters.tobytes()  # older bags stay readable
     assert memory.sequence == 4
     assert memory.limits == first.limits
-    second.resume(memory.state, memory.counters)
+    second.resume(memory.state, memory.counters, memory.memory)
     states = [np.random.default_rng(3), np.random.default_rng(3)]
     for k in range(5, 8):
         flown, again = (

@@ -50,14 +50,15 @@ def drawn(seed: int, senders: int = 3) -> LawInputs:
     )
 
 
-@pytest.mark.parametrize("name", ["consensus", "potential_field", "cbf_qp"])
+@pytest.mark.parametrize("name", ["consensus", "potential_field", "integral", "cbf_qp"])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_compiled_law_is_the_interpreted_one(name: str, seed: int) -> None:
-    """Also the functions of its file that it calls."""
+    """Also the functions of its file that it calls, and its memory."""
     law = _law(f"{EXAMPLES / name}.py:{name}")
     assert (law.address > 0) == COMPILED
-    inputs = drawn(seed)
-    plain = tuple(float(number) for number in law.function(inputs))
+    inputs = drawn(seed)._replace(memory=np.arange(float(len(law.memory))))
+    given = law.function(inputs)
+    plain = np.concatenate(given) if law.memory else given
     np.testing.assert_allclose(law.numbers(inputs, at="t"), plain, rtol=1e-12, atol=1e-12)
 
 
@@ -102,6 +103,19 @@ def test_what_numba_cannot_compile_is_interpreted_with_a_word(
     assert law.numbers(_EXAMPLE, at="t") == (1.0, 2.0, 3.0)
     said = capsys.readouterr().err
     assert not COMPILED or (f"{why}: law is interpreted, " in said and said.count("\n") == 1)
+
+
+@pytest.mark.parametrize("memory", ["1.0", "('a',)", "(float('nan'),)", "(0.0,) * 1001"])
+def test_a_memory_of_something_else_is_refused(write: Write, memory: str) -> None:
+    with pytest.raises(PluginError, match=r"mine\.py:1: law: memory = .*at most 1000 finite"):
+        _law(write("def law(inputs):", "    return inputs.position, ()", f"law.memory = {memory}"))
+
+
+def test_a_law_that_forgets_its_memory_is_refused(write: Write) -> None:
+    law = _law(write("def law(inputs):", "    return inputs.position", "law.memory = (1.0, 2.0)"))
+    expected = "velocity of three numbers .*, and beside it its memory of 2 numbers"
+    with pytest.raises(PluginError, match=rf"mine\.py:1: law: returned .*: expected a {expected}"):
+        law.numbers(_EXAMPLE._replace(memory=np.array([1.0, 2.0])), at="t")
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,13 @@ LAWS = EXAMPLES.parent / "laws"
 def test_a_compiled_law_flies_as_the_same_one_between_kernels(tmp_path: Path, loss: float) -> None:
     """One that numba cannot compile: of another text and the same numbers."""
     keys = {"timing.duration_s": 0.5, "communication.loss": loss}
-    text = (LAWS / "potential_field.py").read_text("utf-8")
+    text = (LAWS / "integral.py").read_text("utf-8")
     (tmp_path / "slow.py").write_text(
         "import json\n" + text.replace("    now =", "    json.loads('1')\n    now ="), "utf-8"
     )
     compiled, slow = (
-        fly(load_scenario("paper_5_free", {**keys, "law": f"{folder}:potential_field"})).track
-        for folder in (LAWS / "potential_field.py", tmp_path / "slow.py")
+        fly(load_scenario("paper_5_free", {**keys, "law": f"{folder}:integral"})).track
+        for folder in (LAWS / "integral.py", tmp_path / "slow.py")
     )
     assert compiled.odometry.tobytes() == slow.odometry.tobytes()
 
@@ -50,6 +50,24 @@ def test_a_law_that_fails_in_the_middle_of_a_flight_is_named(
     file.write_text("\n".join(["import numpy as np", "def law(inputs):", *lines]) + "\n", "utf-8")
     with pytest.raises(PluginError, match=match):
         fly(load_scenario("paper_5_free", {"timing.duration_s": 0.5, "law": f"{file}:law"}))
+
+
+@pytest.mark.slow
+def test_a_uav_that_begins_anew_has_the_first_memory(tmp_path: Path) -> None:
+    """The law refuses to remember a tick that is long ago."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "def law(inputs):\n"
+        "    if inputs.memory[0] >= 0.0 and inputs.t - inputs.memory[0] > 0.05:\n"
+        "        raise ValueError\n"
+        "    return inputs.velocities[0], (inputs.t,)\n"
+        "law.memory = (-1.0,)\n",
+        "utf-8",
+    )
+    restart = {"kind": "restart", "uav": 3, "at_s": 0.2, "duration_s": 0.2}
+    keys = {"timing.duration_s": 0.6, "law": f"{file}:law", "faults": [restart]}
+    flown = fly(load_scenario("paper_5_free", keys)).track.velocity[:, 2]
+    assert flown[19].any() and not flown[30].any() and flown[59].any()
 
 
 @pytest.mark.slow

@@ -35,8 +35,10 @@ def _law_of(scenario: Scenario, uav: int) -> UavLaw:
     return law
 
 
-def _velocity(law: UavLaw, t: float, own: np.ndarray, heard: list[Heard]) -> tuple[float, ...]:
-    return law.velocity(t, t, own, heard, np.zeros((0, 7)))
+def _velocity(
+    law: UavLaw, t: float, own: np.ndarray, heard: list[Heard]
+) -> tuple[tuple[float, ...], np.ndarray]:
+    return law.velocity(t, t, own, heard, np.zeros((0, 7)), np.array(law.law.memory))
 
 
 def test_by_the_part_of_the_uav() -> None:
@@ -141,9 +143,9 @@ def test_in_formation_consensus_keeps_the_common_velocity() -> None:
     senders = law_senders(scenario, 3)
     assert senders == (1, 2, 4)  # leader, parent, and the neighbour above it
     heard = [Heard(uav, state(uav), 0.0) for uav in senders]
-    found = _velocity(law, 2.0, state(3), heard)
+    found, _ = _velocity(law, 2.0, state(3), heard)
     np.testing.assert_allclose(found, velocity, atol=1e-12)
-    assert _velocity(law, 2.0, state(3), []) == (0.0, 0.0, 0.0)
+    assert _velocity(law, 2.0, state(3), [])[0] == (0.0, 0.0, 0.0)
 
 
 def test_what_a_law_hears_is_extrapolated_by_it_and_turned_to_the_world() -> None:
@@ -166,12 +168,12 @@ def test_a_law_is_told_how_the_places_move() -> None:
         "formation.task": "relative_position",
         "leader.trajectory.heading": "path",
     }
-    law = _law_of(load_scenario("paper_5_free", {"law": CONSENSUS, **keys}), 3)
+    law = _law_of(load_scenario("paper_5_free", {"law": f"{LAWS}/integral.py:integral", **keys}), 3)
     seen: list[LawInputs] = []
-    law.law = replace(law.law, call=lambda inputs: seen.append(inputs) or (0.0, 0.0, 0.0))  # type: ignore[func-returns-value]
+    law.law = replace(law.law, call=lambda inputs: seen.append(inputs) or (np.zeros(3), np.ones(4)))  # type: ignore[func-returns-value]
     level = np.eye(13)[6]
     for t in (20.0, 20.001):
-        _velocity(law, t, level, [Heard(1, level, 0.0)])
+        assert _velocity(law, t, level, [Heard(1, level, 0.0)])[1].tolist() == [1.0] * 4
     first, then = seen
     rate = (then.offset - first.offset) / 0.001
     np.testing.assert_allclose(first.offset_velocity, rate, atol=1e-3)

@@ -17,6 +17,7 @@ from ptnsbc_tools.reading.bag_reader import scenario_of
 from ptnsbc_tools.replay.rerun import rerun
 
 LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
+INTEGRAL = f"{LAW.with_name('integral.py')}:integral"
 
 
 def _flown(folder: Path, law: str, **keys: Any) -> Path:
@@ -53,12 +54,10 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     ],
     ids=["open slots", "places that move"],
 )
-def test_a_law_gives_the_same_bytes_wherever_its_places_are(
-    tmp_path: Path, keys: dict[str, Any]
-) -> None:
+def test_a_law_with_a_memory_gives_the_same_bytes(tmp_path: Path, keys: dict[str, Any]) -> None:
     """What a kernel flew for all UAVs at once, the controller of each flies by its messages."""
-    bag = _flown(tmp_path, f"{LAW}:consensus", **keys)
-    code, out, _ = _rerun(bag, "--plugin", f"{LAW}:consensus", "--json")
+    bag = _flown(tmp_path, INTEGRAL, **keys)
+    code, out, _ = _rerun(bag, "--plugin", INTEGRAL, "--json")
     assert (code, json.loads(out)["verdict"]) == (0, "equal")
 
 
