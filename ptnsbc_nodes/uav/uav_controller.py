@@ -114,7 +114,7 @@ class UavController:
         self._scenario, self._uav, self._edges = scenario, uav_id, edges
         self._plugins = UavPlugins.of(scenario, uav_id)
         self.memory: Array = np.array(self._plugins.memory)
-        """What the law of the user keeps (M,)."""
+        """Memory (M,) of the law of the user."""
         self._roles = RoleHolder(scenario, uav_id) if scenario.formation.reconfigures else None
         self.config = agent_config(scenario, uav_id)
         self.inbox = Inbox(edges.senders(uav_id))
