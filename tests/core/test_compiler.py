@@ -5,7 +5,7 @@ import pytest
 
 from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.swarm import flown, fly
+from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.tick import advance_all, sense, step_all
 from ptnsbc_sim.world import World
 
@@ -28,10 +28,10 @@ def test_every_form_of_the_step_flies_the_same() -> None:
     short = {"timing.duration_s": 0.05}
     scenario = load_scenario("paper_5", short)
     whole = fly(scenario).track.wrench
-    assert flown(scenario, ticking()).track.wrench.tobytes() == whole.tobytes()
+    assert fly(scenario, loop=ticking()).track.wrench.tobytes() == whole.tobytes()
     lossy = load_scenario("paper_5", {**short, "communication.loss": 1e-12})
     assert fly(lossy).track.wrench.tobytes() == whole.tobytes()
-    told = flown(scenario, ticking(np.zeros((5, 3)))).track.wrench
+    told = fly(scenario, loop=ticking(np.zeros((5, 3)))).track.wrench
     assert told[:, 0].tobytes() == whole[:, 0].tobytes()  # the leader is not told a velocity
     assert told[:, 1:].tobytes() != whole[:, 1:].tobytes()
     world = World(scenario)
