@@ -185,7 +185,7 @@ _CURVES = [[0, [0, 0, 8], []], [2, [4, 0, 8], [[0, 2, 8], [4, 2, 8]]], [3, [5, 0
 
 
 class Files:
-    """Paths, shapes, streams and maps, in the forms that a scenario may name."""
+    """Paths, shapes and maps, in the forms that a scenario may name."""
 
     _keys: tuple[tuple[str, dict[str, object]], ...] = (
         ("leader.trajectory", {"kind": "file"}),

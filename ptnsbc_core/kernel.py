@@ -105,8 +105,11 @@ _parts.append(("reference", by_reference))
 
 
 def fails(address: int, inputs: tuple[Any, ...], row: Any) -> bool:
-    """In kernels: call the law at a `compiler.address_of` with these arguments; True if it raised an error."""
-    raise NotImplementedError  # Python calls a law by its name
+    """In kernels: call the law at a `compiler.address_of` with these arguments; True if it raised an error.
+
+    Kernels alone have it: without numba no law has an address, and the loop in Python calls laws by their names.
+    """
+    raise NotImplementedError(f"{address:#x}: no kernel calls it")
 
 
 _parts.append(("at_address", fails))

@@ -59,7 +59,7 @@ def main() -> int:
     kind, jobs, *words = sys.argv[1:]
     # A file belongs to one worker: what its tests share is made once, and no other worker loads its laws.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
-    # What has ended a worker is tried again by the next one: not for ever.
+    # The next worker tries a test that ended one again, twice at most.
     by_file += ["--max-worker-restart", "2"]
     workers = () if jobs == "1" else ("-n", jobs, *by_file)
     if words:

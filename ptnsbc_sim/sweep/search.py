@@ -2,7 +2,7 @@
 
 A draw is a point of D standard normal numbers, and each of these makes one number of the draw through the inverse of
 its distribution (`Coordinates`). A flight has a margin for each promise: its share that is left, below 0 where it is
-broken. What is made here is a stream of generations of points, to which the margins are the answer.
+broken. `worst` and `rare` yield generations of points, and are sent the margins of their flights.
 """
 
 from __future__ import annotations
