@@ -94,18 +94,10 @@ def inputs(kind: str, fuzzer: Fuzzer, seed: int) -> Iterator[bytes]:
         yield fuzzer.make(random.Random(f"{seed} {kind} {k}"))
 
 
-def _load(kind: str) -> None:
-    """Run the sound inputs, of which all others are made."""
-    with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
-        fuzzer = FUZZERS[kind](Path(folder))
-        for data in fuzzer.sound:
-            fuzzer.run(data)
-
-
 def compile_laws(kinds: Sequence[str]) -> None:
     """Compile the laws of these kinds in a process of its own: the memory of the compiler is not that of an input."""
     for kind in kinds:
-        process = multiprocessing.get_context("spawn").Process(target=_load, args=(kind,))
+        process = multiprocessing.get_context("spawn").Process(target=fuzzed, args=(kind, 0, 0))
         process.start()
         process.join()
 

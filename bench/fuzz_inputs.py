@@ -13,6 +13,7 @@ from itertools import islice
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
+import laspy
 import numpy as np
 from mcap.writer import CompressionType
 
@@ -173,6 +174,11 @@ class Scenarios:
 
 
 _PATH = "0,0,0,8,0\n1,1,0,8,0.1\n2,2,1,8,0.2\n"
+_SETPOINTS = "0.5,0,0,8,0,0,0,0\n1.5,1,0,8,1,0,0,0.1\n3,2,1,8,0,0,0,0.2\n"
+_STREAM = {
+    "kind": "stream", "position_m": [0, 0, 8], "low_m": [-9, -9, 2], "high_m": [9, 9, 9],
+    "speed_m_s": 2, "acceleration_m_s2": 2,
+}  # fmt: skip
 _POINTS = "0,0,8\n1,0,8\n1,2,9\n"
 _POLYNOMIAL = ",".join(["2", *["0.5", "1", "-0.25", *"00000"] * 4])
 _HOME = [47.4, 8.5, 488]
@@ -191,13 +197,21 @@ class Files:
         ("leader.trajectory", {"kind": "file"}),
         ("leader.trajectory", {"kind": "file", "speed_m_s": 1}),
         ("leader.trajectory", {"kind": "file", "rate_hz": 5}),
+        ("leader.trajectory", _STREAM),
         ("formation.shape", {"kind": "file"}),
     )
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "file"
         poses = "# timestamp tx ty tz qx qy qz qw\n7 0 0 8 0 0 0 1\n8 1 0 8 0 0 1 0\n"
-        texts = (_PATH, "t_ms;x;y;z\n0;0;0;8\n9000;1,5;0;8\n", _POINTS, poses, _POLYNOMIAL)
+        texts = (
+            _PATH,
+            _SETPOINTS,
+            "t_ms;x;y;z\n0;0;0;8\n9000;1,5;0;8\n",
+            _POINTS,
+            poses,
+            _POLYNOMIAL,
+        )
         plan = json.dumps({"fileType": "Plan", "mission": _PLAN})
         self.sound = [text.encode() for text in (*texts, plan)] + [
             _archive({"swarm": {"drones": [{"settings": {"trajectory": {"points": _CURVES}}}]}}),
@@ -205,6 +219,8 @@ class Files:
             (ROOT / "scenarios" / "yard.pcd").read_bytes()[:2000],
             b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 3\nDATA binary_compressed\n"
             b"\0\0\0\0\x24\0\0\0\3\0\0\x80\x3f\xe0\x17\3",
+            _las(compressed=False),
+            _las(compressed=True),
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
             b"property float z\nend_header\n1 2 3\n",
         ]
@@ -221,7 +237,8 @@ class Files:
             with suppress(PtnsbcError):
                 given = {key: {**block, "file": str(self._path)}}
                 extremes(load_scenario("paper_5_free", given).leader.trajectory, 60.0)
-        for suffix in (".pcd", ".ply", ".csv", ".npy"):
+        by_laspy = (".las",) if b"LASF" in data[:9] else ()  # a process for each
+        for suffix in (".pcd", ".ply", ".csv", ".npy", *by_laspy):
             with suppress(PtnsbcError):
                 map_text(suffix, data, 1.0)
 
@@ -230,6 +247,12 @@ def _saved(write: Callable[[BytesIO], object]) -> bytes:
     stream = BytesIO()
     write(stream)
     return stream.getvalue()
+
+
+def _las(*, compressed: bool) -> bytes:
+    cloud = laspy.create(point_format=0, file_version="1.2")
+    cloud.x = cloud.y = cloud.z = np.array([1.0, 2.0, 9.0])
+    return _saved(lambda stream: cloud.write(stream, do_compress=compressed))
 
 
 def _archive(show: object) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from functools import partial
 
 from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, take_turns
@@ -61,19 +61,7 @@ def _plant(ticks: int, swarm: SwarmState) -> float:
 _Pass = Callable[[int, SwarmState], float]
 
 
-class _Piece(NamedTuple):
-    """A piece of a tick: a pass over a recorded flight, less a pass that does the same without the piece."""
-
-    whole: _Pass
-    without: _Pass | None
-
-
-_PIECES = {
-    "sensing": _Piece(_sense, None),
-    "inputs": _Piece(_inputs, None),
-    "laws": _Piece(_laws, _inputs),
-    "plant": _Piece(_plant, None),
-}
+_PASSES = {"sensing": _sense, "inputs": _inputs, "laws": _laws, "plant": _plant}
 
 
 def measure(plan: Plan) -> Sequence[Row]:
@@ -82,7 +70,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     flights = {5: paper(duration_s), 20: grid(20, 100, duration_s)}
     for scenario in (paper(0.1), grid(20, 100, 0.1)):
         fly(scenario)  # compiled or loaded before it counts
-    runs: dict[str, Callable[[], float]] = {"svd": _svd_us}
+    runs: dict[str, Callable[[], float]] = {"svd": lambda: 1e6 * cpu_seconds(numpy_svd, _SVD_CALLS)}
     for size, scenario in flights.items():
         runs[str(size)] = _ticks_per_s(scenario)
     found = take_turns(runs, plan.of(7, 2))
@@ -95,10 +83,6 @@ def measure(plan: Plan) -> Sequence[Row]:
     return rows
 
 
-def _svd_us() -> float:
-    return 1e6 * cpu_seconds(numpy_svd, _SVD_CALLS)
-
-
 def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
     return lambda: scenario.timing.ticks / cpu_seconds(lambda: fly(scenario))
 
@@ -106,23 +90,17 @@ def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
 def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:
     """The cost of each piece per UAV and tick: each is run over the whole flight alone."""
     flight = fly(scenario)
-    passes = {piece.whole for piece in _PIECES.values()}
-    for one in passes:
+    for one in _PASSES.values():
         _pass_ns(one, flight, 1)
-    runs = {str(id(one)): _timed(one, flight) for one in passes}
-    found = take_turns(runs, repeats)
-    rows = []
-    for name, piece in _PIECES.items():
-        values = found[str(id(piece.whole))]
-        if piece.without is not None:
-            less = found[str(id(piece.without))]
-            values = [whole - part for whole, part in zip(values, less, strict=True)]
-        rows.append(Row(f"{name} per UAV and tick, N = {size}", values, "ns"))
-    return rows
-
-
-def _timed(one: _Pass, flight: HeadlessFlight) -> Callable[[], float]:
-    return lambda: _pass_ns(one, flight, len(flight.t_ns))
+    ticks = len(flight.t_ns)
+    found = take_turns(
+        {name: partial(_pass_ns, one, flight, ticks) for name, one in _PASSES.items()}, repeats
+    )
+    pairs = zip(found["laws"], found["inputs"], strict=True)
+    found["laws"] = [both - inputs for both, inputs in pairs]  # the pass makes the inputs as well
+    return [
+        Row(f"{name} per UAV and tick, N = {size}", values, "ns") for name, values in found.items()
+    ]
 
 
 def _pass_ns(one: _Pass, flight: HeadlessFlight, ticks: int) -> float:
