@@ -78,7 +78,7 @@ def refuse_without_memory(scenario: Scenario) -> None:
         raise ScenarioError(
             f"{scenario.source}: timing.duration_s: {scenario.timing.duration_s:g} s of {count} UAVs at "
             f"{scenario.timing.control_hz} Hz take {needed * 1e-9:.3g} GB of memory: expected at most "
-            f"{free * 1e-9:.3g} GB, which are free: shorten timing.duration_s (--duration) "
+            f"{free * 1e-9:.3g} GB, which are free: shorten timing.duration_s "
             f"to at most {free // second:.0f} s, or lower timing.control_hz"
         )
 

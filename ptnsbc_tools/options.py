@@ -344,7 +344,7 @@ class ReadOptions:
             pattern = getattr(self, name)
             if UAV not in pattern:
                 raise TopicPatternError(
-                    f"--{name} {pattern!r}: expected {UAV} for the id of the UAV, like /drone{UAV}/odom"
+                    f"{name}: {pattern!r}: expected {UAV} for the id of the UAV, like /drone{UAV}/odom"
                 )
 
 

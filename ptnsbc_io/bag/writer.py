@@ -67,7 +67,7 @@ def check_replaceable(directory: Path, *, overwrite: bool) -> None:
     foreign = [name for name in sorted(names) if not _OF_A_BAG.fullmatch(name)]
     if foreign or not directory.is_dir():
         raise BagError(
-            f"{directory} holds {', '.join(foreign[:3]) or 'no bag'}: --overwrite replaces bags only: "
+            f"{directory} holds {', '.join(foreign[:3]) or 'no bag'}: a bag replaces bags only: "
             "move it away or choose another name"
         )
 

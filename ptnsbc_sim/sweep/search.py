@@ -221,7 +221,7 @@ def search(
     plan = replace(plan, layout=layout_of(plan))
     dims = sum(count for _, count in plan.layout)
     if plan.cells > 1 or dims < 2:  # the seed of the noise alone is no space
-        raise SweepError("search: expected ranges, --starts or --family, and no list or grid")
+        raise SweepError("search: expected ranges, starts or a family, and no list or grid")
     told = json.dumps({"plan": plan.to_json(), "least": least, "made_by": made_by(plan)})
     about, kept = folder / "search.json", folder / "margins.npy"
     folder.mkdir(parents=True, exist_ok=True)

@@ -254,7 +254,7 @@ def _trusted(path: Path, flown: Scenario, plugins: Sequence[str]) -> Scenario:
         if name not in given:
             raise PluginError(
                 f"{path}: flown with the {key.rpartition('.')[2]} {named}, which a bag does not carry: "
-                f"give it with --plugin FILE.py:{name}"
+                f"give the plugin FILE.py:{name}"
             )
         changes[key] = given[name]
     return flown.with_(changes) if changes else flown

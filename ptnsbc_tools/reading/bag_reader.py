@@ -57,8 +57,8 @@ def scenario_of(bag: Bag, given: Path | None) -> Scenario:
         return load_scenario(given)
     if SCENARIO_ATTACHMENT not in bag.attachments:
         raise BagError(
-            f"{bag.path}: no {SCENARIO_ATTACHMENT} attached: name the scenario with --scenario, "
-            "as verify, report, plot, export and bag replay take it"
+            f"{bag.path}: no {SCENARIO_ATTACHMENT} attached: give the scenario file "
+            "with which it was flown, as verify, report, plot, export and bag replay take it"
         )
     text = bag.attachment(SCENARIO_ATTACHMENT).decode("utf-8", errors="replace")
     source = f"{bag.path.name}:{SCENARIO_ATTACHMENT}"

@@ -74,9 +74,9 @@ _POSES: Mapping[str, Callable[[bytes, str], Stamped | None]] = {
 
 
 def state_readers(options: ReadOptions, scenario: Scenario) -> dict[int, StateReader]:
-    """The reader of every UAV; TopicPatternError for an option that names none."""
-    mapped = _by_uav("--map", options.mapped, scenario, "/cf231/pose, or /tf:cf231")
-    origins = _by_uav("--origin", options.origins, scenario, "0,2.5,0, or 47.3977N,8.5456E,488")
+    """The reader of every UAV; TopicPatternError for a text that names none."""
+    mapped = _by_uav("topic", options.mapped, scenario, "/cf231/pose, or /tf:cf231")
+    origins = _by_uav("origin", options.origins, scenario, "0,2.5,0, or 47.3977N,8.5456E,488")
     datum = scenario.mavlink.world_origin
     reference = datum and datum.place
     readers = {}
@@ -91,7 +91,7 @@ def state_readers(options: ReadOptions, scenario: Scenario) -> dict[int, StateRe
 
 
 def _by_uav(
-    option: str, texts: Sequence[str] | None, scenario: Scenario, example: str
+    what: str, texts: Sequence[str] | None, scenario: Scenario, example: str
 ) -> dict[int, str]:
     """The values of `N=VALUE`, of which one text may hold several."""
     found = {}
@@ -99,7 +99,7 @@ def _by_uav(
         match = _OF_UAV.fullmatch(text)
         if match is None or int(match[1]) not in scenario.uav_ids:
             raise TopicPatternError(
-                f"{option} {text}: expected N=VALUE with N one of {', '.join(map(str, scenario.uav_ids))}, "
+                f"{what} of a UAV: {text}: expected N=VALUE with N one of {', '.join(map(str, scenario.uav_ids))}, "
                 f"and a value like {example}"
             )
         found[int(match[1])] = match[2]
@@ -113,7 +113,7 @@ def _place(text: str) -> Array | GeoPoint:
     degrees = _DEGREES.fullmatch(text)
     if degrees is None:
         raise TopicPatternError(
-            f"--origin {text}: expected x,y,z [m] or latitude, longitude and altitude, like 47.3977N,8.5456E,488"
+            f"origin of a UAV: {text}: expected x,y,z [m] or latitude, longitude and altitude, as 47.3977N,8.5456E,488"
         )
     north, east = (float(degrees[k]) * (1 if degrees[k + 1] in "NE" else -1) for k in (1, 3))
     return GeoPoint(north, east, float(degrees[5]))

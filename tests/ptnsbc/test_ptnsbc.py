@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 from pathlib import Path
 
+import pytest
+
 import ptnsbc
 from tests.support.commands import every_command
 
-PAGE = Path(__file__).parents[2] / "docs" / "library.md"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "library.md"
 
 
 def test_every_public_name_is_there_and_documented() -> None:
@@ -48,3 +52,18 @@ def test_each_command_has_its_call_or_a_reason() -> None:
         for name, method in calls:
             assert name in ptnsbc.__all__, (command, name)
             assert not method or hasattr(getattr(ptnsbc, name), method), (command, method)
+
+
+_BELOW = ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_tools/library", "ptnsbc_tools/reading")
+
+
+@pytest.mark.parametrize("folder", [*_BELOW, "ptnsbc_tools/check", "ptnsbc_tools/plotting"])
+def test_errors_of_the_library_name_no_option_of_a_command(folder: str) -> None:
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Raise):
+                texts = [one.value for one in ast.walk(node) if isinstance(one, ast.Constant)]
+                if '--set "' in texts:  # `set_keys` reads this option, for the commands alone
+                    continue
+                found = [text for text in texts if re.search(r"(^|\s|\()--[a-z]", str(text))]
+                assert not found, f"{path}:{node.lineno}"

@@ -287,7 +287,7 @@ def test_a_bag_without_a_scenario_says_what_to_do(fly: Fly, tmp_path: Path) -> N
         writer.write("/uav1/odom", 0, OdometryTemplate("map", "b").encode(0, row))
     code, _, err = run("verify", tmp_path / "bag")
     assert code == 2
-    assert "--scenario" in err
+    assert "give the scenario file with which it was flown, as verify" in err
 
 
 @pytest.mark.slow
@@ -386,7 +386,7 @@ def test_overwrite_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
     words = ("paper_5", "--duration", "1", "--bag", tmp_path / "mine", "--overwrite")
     code, _, err = run("simulate", *words)
     assert code == 2
-    assert "holds letter.txt" in err and "--overwrite replaces bags only" in err
+    assert "holds letter.txt" in err and "a bag replaces bags only" in err
     assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
 
 

@@ -339,7 +339,7 @@ def test_pattern_without_a_uav(pattern):
 
 def test_what_is_missing_is_said(flown, scenario_file, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
-    with pytest.raises(BagError, match=r"no scenario\.yaml attached: name the scenario with"):
+    with pytest.raises(BagError, match=r"no scenario\.yaml attached: give the scenario file"):
         read_recording(bag, ReadOptions(None, **DRONES))
     nothing = read_recording(bag, ReadOptions(scenario_file, odom="/px4_{n}/odom"))
     with pytest.raises(

@@ -212,9 +212,12 @@ def test_clocks_since_boot_count_by_the_times_of_recording(flown, scenario_file,
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"mapped": ["cf1=/pose"]}, r"--map cf1=/pose: expected N=VALUE with N one of 1, 2"),
-        ({"mapped": ["77=/pose"]}, "--map 77=/pose: expected N=VALUE"),
-        ({"origins": ["1=3,4"]}, "--origin 3,4: expected x,y,z"),
+        (
+            {"mapped": ["cf1=/pose"]},
+            "topic of a UAV: cf1=/pose: expected N=VALUE with N one of 1, 2",
+        ),
+        ({"mapped": ["77=/pose"]}, "topic of a UAV: 77=/pose: expected N=VALUE"),
+        ({"origins": ["1=3,4"]}, "origin of a UAV: 3,4: expected x,y,z"),
         ({"origins": ["1=47.3,8.5E,4"]}, "latitude, longitude and altitude"),
     ],
 )
