@@ -135,12 +135,12 @@ print(f"setup: numpy {numpy.__version__}, numba {numba.__version__}, rclpy from 
     || die "the packages are installed but do not load (see above); start afresh: make clean setup"
 }
 
-# Messages that the wheels lack, and our own. Without them everything flies, but nothing draws frames live.
+# Messages that the wheels lack, and those of tests. Without them everything flies, but nothing draws frames live.
 make_messages() {
   if ! command -v g++ >/dev/null; then
-    say "no g++: there are no types of ptnsbc_interfaces (fleet --operator) and no live /tf (bags have it); install g++ and repeat: make setup-messages"
+    say "no g++: there is no live /tf (bags have it); install g++ and repeat: make setup-messages"
   elif ! .venv/bin/python requirements/interfaces/build.py "${messages[@]%/}"; then
-    say "the message packages above could not be built: no fleet --operator or no live /tf (bags have it)"
+    say "the message packages above could not be built: no live /tf (bags have it)"
   else
     return 0
   fi
@@ -156,11 +156,12 @@ part project make_project pyproject.toml setup.py ros2_ws/shell.py
 # The messages are compiled while the packages of the other sets come.
 compiling=
 if [ $kind = plain ] && [[ " $* " == *" messages "* ]]; then
-  messages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces)
+  messages=(requirements/interfaces/*/) built=messages
+  if [[ " $* " == *" test "* ]]; then messages+=(tests/messages/*/) built=test-messages; fi
   mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces "${messages[@]}" -type f | sort -u)
   (
     parts=()
-    part messages make_messages "${sources[@]}"
+    part $built make_messages "${sources[@]}"
     [ ${#parts[@]} = 0 ] || say "${parts[*]}"
   ) &
   compiling=$!

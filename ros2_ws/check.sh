@@ -11,25 +11,15 @@ venv=$(cd .. && pwd)/.venv
 export PATH="$venv/bin:$PATH" VIRTUAL_ENV="$venv" COLCON_DEFAULT_EXECUTOR=sequential COLCON_LOG_LEVEL=error
 colcon() { "$venv/bin/python" "$venv/bin/colcon" "$@"; }
 
-# Messages need CMake's part of ament, which comes with ROS from apt. With the wheels `make setup-messages` builds them.
-interfaces=ptnsbc_interfaces
-skipped=()
-cmake_is_there() { (IFS=:; for folder in ${AMENT_PREFIX_PATH:-}; do [ -d "$folder/share/ament_cmake" ] && exit 0; done; exit 1); }
-cmake_is_there || skipped=(--packages-skip "$interfaces")
-
 seen=$(colcon list --base-paths src)
 for package in src/*/; do
   name=$(basename "$package")
-  if [ "$name" = $interfaces ]; then
-    grep -qP "^$name\t\S+\t\(ros\.ament_cmake\)$" <<<"$seen" || die "$name: expected '(ros.ament_cmake)' from colcon list"
-    continue
-  fi
   # A slip in package.xml (such as an invalid e-mail) silently makes it a plain `python` package.
   grep -qP "^$name\t\S+\t\(ros\.ament_python\)$" <<<"$seen" ||
     die "$name: expected '(ros.ament_python)' from colcon list, which says: $(grep "^$name" <<<"$seen" || echo nothing)"
 done
 
-colcon build --base-paths src "${skipped[@]}" --event-handlers console_direct- "$@" </dev/null || {
+colcon build --base-paths src --event-handlers console_direct- "$@" </dev/null || {
   cat log/latest_build/*/stderr.log >&2
   die "colcon build failed (see above)"
 }
@@ -37,9 +27,8 @@ colcon build --base-paths src "${skipped[@]}" --event-handlers console_direct- "
 checks=()  # beside each other: each is a process that mostly starts
 for package in src/*/; do
   name=$(basename "$package")
-  if [ "$name" = $interfaces ] && [ ${#skipped[@]} -gt 0 ]; then continue; fi
   [ -e "install/$name/share/ament_index/resource_index/packages/$name" ] || die "$name: not in the ament index"
-  case "$name" in ptnsbc_bringup | $interfaces) continue ;; esac
+  [ "$name" != ptnsbc_bringup ] || continue
   # From elsewhere and without the virtual environment's editable install: what ROS would import.
   { (set +u; cd / && source "$OLDPWD/install/local_setup.bash" && python -S -c "
 import importlib.util, pathlib
@@ -49,7 +38,7 @@ assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typ
 ") || die "$name: not importable from install/"; } &
   checks+=($!)
 done
-for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator,operator,fleet} ptnsbc_tools/ptnsbc; do
+for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator,fleet} ptnsbc_tools/ptnsbc; do
   program=install/${program%/*}/lib/$program
   [ -x "$program" ] || die "$program: 'ros2 run' would not find it"
   { (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"; } &

@@ -22,7 +22,6 @@ PROGRAMS = {
         "fleet": "ptnsbc_nodes.fleet.fleet_main:main",
         "bridge": "ptnsbc_nodes.bridge.bridge_main:main",
         "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",
-        "operator": "ptnsbc_nodes.view.operator_main:main",
     },
     "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.__main__:main"},
 }

@@ -1,7 +1,8 @@
-"""Wheels of the message packages: they hold what `make setup-messages` puts beside the wheels of ROS."""
+"""Message packages beside the wheels of ROS, as `make setup-messages` and `make test` install them, or in wheels."""
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import subprocess
 import sys
@@ -40,6 +41,15 @@ def test_a_wheel_holds_every_file_of_the_package(tmp_path: Path) -> None:
     found = {path for path in installed if path.is_file() and "__pycache__" not in path.parts}
     assert found <= held
     assert all(path.is_file() for path in held)
+
+
+def test_types_of_a_package_have_the_support_of_the_middleware() -> None:
+    messages = pytest.importorskip("lab_msgs.msg", reason="make test builds it where g++ is")
+    services = importlib.import_module("lab_msgs.srv")
+    for kind in (messages.Vehicles, services.Fly):
+        kind.__class__.__import_type_support__()
+        assert kind.__class__._TYPE_SUPPORT is not None
+    assert services.Fly.Request(id=3).id == 3
 
 
 def test_a_package_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -180,7 +180,7 @@ def test_a_fleet_is_that_of_the_command(kind, evaluate, flown, monkeypatch, tmp_
     assert scenario.name == "paper_5"
     assert given == {
         "lockstep": False, "backend": "sim", "allow_arming": False, "only": "", "namespace": "",
-        "bag": None, "overwrite": False, "check": None, "operator": False,
+        "bag": None, "overwrite": False, "check": None,
         "processes": None, "wait": False,
     }  # fmt: skip
 
@@ -189,7 +189,7 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     entities = evaluate(
         "fleet", scenario="experiment_4", backend="mavlink", allow_arming="true", lockstep="true",
-        namespace="blue", duration="12.5", record="flight", overwrite="true", check="true", operator="true",
+        namespace="blue", duration="12.5", record="flight", overwrite="true", check="true",
         wait="true",
         set="gains.formation.kappa_1_s=1.5 'world.wind_m_s=[1, 0, 0]'",
     )  # fmt: skip
@@ -201,7 +201,7 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     assert given == {
         "lockstep": True, "backend": "mavlink", "allow_arming": True, "only": "",
         "namespace": "/blue", "bag": tmp_path / "flight", "overwrite": True, "check": True,
-        "operator": True, "processes": None, "wait": True,
+        "processes": None, "wait": True,
     }  # fmt: skip
 
 

@@ -125,13 +125,6 @@ def test_what_the_tests_of_a_package_import_is_a_dependency(name):
     assert needed <= declared(name, "exec_depend") | declared(name, "test_depend")
 
 
-def test_cmake_makes_every_message_that_is_defined():
-    package = SRC / "ptnsbc_interfaces"
-    named = re.findall(r'"(\w+/\w+\.\w+)"', (package / "CMakeLists.txt").read_text())
-    defined = [path for kind in ("action", "msg", "srv") for path in package.glob(f"{kind}/*")]
-    assert named == sorted(str(path.relative_to(package)) for path in defined)
-
-
 def test_version_is_read_through_the_link(copied_workspace):
     assert run_setup(copied_workspace).stdout.split()[-1] == "9.8.7"
 

@@ -53,7 +53,6 @@ class ProcessCommand:
     arguments: tuple[str, ...]
     uavs: tuple[int, ...] = ()  # ids of the UAVs that are lost when it ends
     ends: bool = False  # by itself, with 0, when the flight is over
-    beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
     def within(self, namespace: str) -> ProcessCommand:
         """The same process with its node in the namespace of a fleet."""
@@ -83,7 +82,6 @@ EXECUTABLES = {
     "ptnsbc_nodes.bridge.bridge_main": "bridge",
     "ptnsbc_nodes.fleet.fleet_main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
-    "ptnsbc_nodes.view.operator_main": "operator",
 }
 """The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc network node` and launch files."""
 
@@ -107,7 +105,6 @@ class FleetOptions:
     ready_timeout_s: float | None = None  # from the first process to the last one ready
     processes: int | None = None  # for the UAVs of this fleet; one for each by default
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
-    operator: bool = False  # offer the fleet in the types of ptnsbc_interfaces
     wait: bool = False  # an operator starts the flight, not the launcher
     namespace: str = ""  # of all nodes and topics, for example "/blue"
     # In real time: why the scenario with the measured starts must not be flown, empty when it may.
@@ -155,9 +152,9 @@ class FleetOptions:
 def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]:
     """The processes of this computer in the order of their start.
 
-    The recorder comes first, because it must miss nothing. Bridges come before UAVs, without which they arm nothing,
-    and so does what an operator lets them arm with. The sim comes last: in real time a UAV ticks from its
-    first odometry on, and twenty ticking UAVs make the others load three times as long.
+    The recorder comes first, because it must miss nothing. Bridges come before UAVs, without which they arm nothing.
+    The sim comes last: in real time a UAV ticks from its first odometry on, and twenty ticking UAVs make the others
+    load three times as long.
     """
     scenario, bridged = options.scenario, options.backend == "mavlink"
     common = ["--scenario", str(scenario_file)]
@@ -170,18 +167,13 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         for uav in scenario.uav_ids:
             words = (*common, "--uav", str(uav), "--with-fleet", *arming)
             listed.append(ProcessCommand(f"bridge{uav}", BRIDGE, words, (uav,), ends=True))
-    if options.operator and options.leads:
-        words = ("--scenario", str(scenario_file))
-        listed.append(
-            ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", words, beside=True)
-        )
     for group in groups(options):
         words, first = (*common, "--uav", *map(str, group)), group[0]
         name = f"uav{first}" if len(group) == 1 else f"uav{first}-{group[-1]}"
         listed.append(ProcessCommand(name, UAV, words, group))
     if not bridged:
         listed.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.sim_main", tuple(common), ends=True))
-    here = [one for one in listed if one.beside or not options.only or one.name in options.only]
+    here = [one for one in listed if not options.only or one.name in options.only]
     return [command.within(options.namespace) for command in here]
 
 

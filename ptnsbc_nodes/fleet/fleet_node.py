@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rclpy.context import Context
 from std_srvs.srv import Trigger
 
 from ptnsbc_io.wire import (
@@ -49,11 +48,9 @@ class FleetNode:
         namespace: str = "",
         ros_arguments: Sequence[str] = (),
         seal: Seal | None = None,
-        within: Context | None = None,
     ) -> None:
-        """`within`: a context that is there, instead of one of its own."""
         self.domain, self.seal = domain, seal
-        self._plain = partial(plain_node, name, ros_arguments, namespace, domain, within)
+        self._plain = partial(plain_node, name, ros_arguments, namespace, domain)
         self._joins: list[Callable[[], object]] = []
         self._join()
 

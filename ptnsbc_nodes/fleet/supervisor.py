@@ -4,7 +4,6 @@
 - A bridge dies and leaves its vehicle in flight: another one takes it over.
 - The recorder ends: the flight goes on without it.
 - The sim ends, or the last UAV: nothing is left to fly, and the flight ends.
-- What runs beside the flight ends: it is named, and nothing changes.
 - A process for which a lock-step flight waits in vain, or a sim without a sign of life, is killed: the rules above.
 - The launcher that leads is gone: simulated vehicles end, real ones fly on, for their operator decides.
 
@@ -133,9 +132,6 @@ class Supervisor:
             if settled or self._faults.comes_back(child):
                 continue
             self._reported.add(child.name)
-            if child.command.beside:
-                self._progress(f"{child.exit_summary()}; the flight goes on without it")
-                continue
             lost = {child.name} if self._options.shared else set()
             if not (child.command.ends and child.exit_code == 0):
                 self.died.append(child)
@@ -194,8 +190,7 @@ class Supervisor:
                     f"{child.name} (pid {child.pid}) had finished its work but did not exit: killed"
                 )
             else:
-                if not child.command.beside:
-                    self.died.append(child)
+                self.died.append(child)
                 if not child.fault:
                     self._progress(f"at the end: {child.exit_summary()}")
         for line in fault_lines(self.died):

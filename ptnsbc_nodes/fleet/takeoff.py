@@ -148,8 +148,7 @@ class TakeOff:
 
     def _missing(self) -> dict[str, str]:
         """The processes that must be ready before the flight and are not, and what each waits for."""
-        started = (child.command for child in self._crew.children if not child.command.beside)
-        names = [name for command in started for name in command.reporters]
+        names = [name for child in self._crew.children for name in child.command.reporters]
         awaited = [name for name in (*names, *self._options.elsewhere) if name != RECORDER]
         return self._node.status.missing(awaited)
 
@@ -159,8 +158,6 @@ class TakeOff:
         def is_heard(child: ChildProcess) -> bool:
             if child.name == RECORDER:  # it has no status on /diagnostics
                 return child.reports.running
-            if child.command.beside:
-                return child.reports.running or child.exit_code is not None
             return self._node.status.waiting.keys() >= set(child.command.reporters)
 
         return [child for child in self._crew.children if not is_heard(child)]
@@ -171,8 +168,7 @@ class TakeOff:
         self._crew.pass_on_lines(self._progress)
         self._introduction.look()
         for child in self._crew.children:
-            ended = child.exit_code is not None and not child.command.beside
-            if ended and not self._stop.came:
+            if child.exit_code is not None and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
             if child.life == 1 and not child.reports.running:
                 for name in self._node.status.waiting.keys() & set(child.command.reporters):
@@ -312,8 +308,6 @@ class Introduction:
             return
 
     def _is_introduced(self, child: ChildProcess, now_s: float) -> bool:
-        if child.command.beside:
-            return True
         if child.name not in self._introduced_s:
             heard = self._node.status.waiting.keys() >= set(child.command.reporters)
             if heard or (child.name == RECORDER and self._node.sees(RECORDER)):

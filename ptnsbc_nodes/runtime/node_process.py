@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -48,12 +48,10 @@ class RosArgumentsError(PtnsbcError):
 class Arguments(argparse.ArgumentParser):
     """Arguments of a node besides those of ROS; a wrong one is refused in one line."""
 
-    def __init__(self, name: str, description: str, *, scenario: bool = True) -> None:
+    def __init__(self, name: str, description: str) -> None:
         super().__init__(prog=name, description=description)
         add_version(self)
-        self.add_argument(
-            "--scenario", required=scenario, help="scenario file, or name of a built-in"
-        )
+        self.add_argument("--scenario", required=True, help="scenario file, or name of a built-in")
         self.add_argument(
             "--set",
             dest="settings",
@@ -262,11 +260,10 @@ def plain_node(
     argv: Sequence[str] = (),
     namespace: str = "",
     domain: int | None = None,
-    within: Context | None = None,
 ) -> Iterator[tuple[Node, Executor]]:
-    """A node without services and its executor, `within` a context or in its own, which `argv` and `domain` are for."""
-    context = within or Context()
-    with nullcontext() if within else ros_context(argv, context, domain):
+    """A node without services and its executor, in a context of its own, which `argv` and `domain` are for."""
+    context = Context()
+    with ros_context(argv, context, domain):
         node = rclpy.create_node(
             name,
             namespace=namespace,

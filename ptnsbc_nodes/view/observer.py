@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from rcl_interfaces.srv import GetParameters
-from rclpy.context import Context
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Diagnostics, OdometryDecoder, decode_diagnostics, decode_header
@@ -50,30 +49,26 @@ class FleetListener:
         if scenario.formation.has_open_slots:
             self._listen(topics.SLOTS, state.decided.decode, state.on_slots)
 
-    def look(self) -> bool:
-        """Subscribe to odometry once the flight has begun; True when that has just happened.
+    def look(self) -> None:
+        """Subscribe to odometry once the flight has begun.
 
         Not before the start: vehicles wait for so many readers, and not for a viewer.
         """
         if self._hears_vehicles or not self._state.epochs.announced:
-            return False
+            return
         self._hears_vehicles = True
         for uav in self._state.scenario.uav_ids:
             # Neither the frames nor the order of stamps matter to a viewer.
             take = partial(self._state.on_odometry, uav)
             for topic in (topics.odom(uav), topics.track(uav)):  # the latter once it has left
                 self._listen(topic, OdometryDecoder(), take, profile=STATE_REALTIME)
-        return True
 
 
 class Observer(FleetNode):
     """A node that looks at a fleet; use it as a context manager. Several viewers may look at one fleet."""
 
-    def __init__(
-        self, domain: int, namespace: str = "", name: str = "view", within: Context | None = None
-    ) -> None:
-        """`within`: as of `FleetNode`."""
-        super().__init__(domain, name, namespace, within=within)
+    def __init__(self, domain: int, namespace: str = "", name: str = "view") -> None:
+        super().__init__(domain, name, namespace)
         self._leader: LeaderClient | None = None
         self._listener: FleetListener | None = None
 

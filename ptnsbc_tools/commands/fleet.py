@@ -74,13 +74,6 @@ class Parts:
         ),
     ] = None
     namespace: NamespaceOption = ""
-    operator: Annotated[
-        bool,
-        option(
-            "--operator",
-            "Offer the fleet in the types of ptnsbc_interfaces: its state, actions and services.",
-        ),
-    ] = False
     wait: Annotated[
         bool,
         option(

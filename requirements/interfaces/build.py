@@ -1,8 +1,9 @@
-"""Message packages that the wheels of ROS lack, made by the generators and libraries that come in these wheels.
+"""Message packages beside the wheels of ROS, made by the generators and libraries that come in these wheels.
 
     .venv/bin/python requirements/interfaces/build.py [--wheels DIR] PACKAGE...
 
-Each PACKAGE is a folder with a package.xml and files in msg/, srv/ or action/. It is generated, compiled by g++ and
+Each PACKAGE is a folder with a package.xml and files in msg/, srv/ or action/, such as a vendor of vehicles keeps
+them for colcon. One that needs another stands after it. It is generated, compiled by g++ and
 installed beside the others: Python into site-packages, libraries into lib, definitions and hashes into share. All is
 built elsewhere first, so that a package is there whole or not at all. With --wheels it becomes a wheel in DIR, for the
 Python that runs this.
@@ -89,7 +90,8 @@ class Package:
     """One package on its way from definitions to libraries."""
 
     def __init__(self, source: Path, work: Path) -> None:
-        self.source, self.name = source, source.name
+        self.source = source
+        self.name = ElementTree.parse(source / "package.xml").findtext("name", source.name)
         self.work, self.out = work, work / "out"
         self.needs = depended_on(source)
         self.definitions = sorted(

@@ -1,18 +1,17 @@
 #!/usr/bin/env bash
 # Wheels of the message packages in dist/, for every Python from 3.10 to 3.13 on this machine. Called by `make wheels`.
+#   requirements/interfaces/wheels.sh [PACKAGE...]    by default those beside this script
 #   PYTHON="python3.10 /opt/python/bin/python3.12" requirements/interfaces/wheels.sh    to name the interpreters
 # Each is built in an environment of its own from plain/runtime.lock, which takes a minute, and is installed and
 # imported there before it counts.
 set -euo pipefail
+packages=()
+for folder in "$@"; do packages+=("$(realpath "$folder")"); done
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
+[ $# -gt 0 ] || packages=("$PWD"/requirements/interfaces/*/)
 
 say() { printf 'wheels: %s\n' "$*"; }
 version() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null; }
-
-packages=()
-for xml in requirements/interfaces/*/package.xml ros2_ws/src/ptnsbc_interfaces/package.xml; do
-  packages+=("$(dirname "$xml")")
-done
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -30,11 +29,12 @@ build_for() {
   for package in "${packages[@]}"; do
     # An import alone loads no library: the support of each type does.
     "$venv/bin/python" -c '
-import importlib, sys
+import importlib.util, sys
 import rclpy
-module = importlib.import_module(f"{sys.argv[1]}.msg")
-types = [getattr(module, name) for name in dir(module) if name[0].isupper()]
-assert types, "no messages"
+kinds = [k for k in ("msg", "srv", "action") if importlib.util.find_spec(f"{sys.argv[1]}.{k}")]
+modules = [importlib.import_module(f"{sys.argv[1]}.{k}") for k in kinds]
+types = [getattr(module, name) for module in modules for name in dir(module) if name[0].isupper()]
+assert types, "no types"
 for one in types:
     if isinstance(one, type):
         one.__class__.__import_type_support__()

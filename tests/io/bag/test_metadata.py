@@ -40,21 +40,20 @@ def test_unknown_type_leaves_nothing_behind(tmp_path, type_name):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bag_of_our_own_messages_carries_their_definitions(tmp_path):
-    """rosbags knows no ptnsbc_interfaces: it reads them by what the bag says, nested types and all."""
-    messages = pytest.importorskip("ptnsbc_interfaces.msg")
+def test_a_bag_of_anybodys_messages_carries_their_definitions(tmp_path):
+    """rosbags knows no lab_msgs: it reads them by what the bag says, nested types and all."""
+    messages = pytest.importorskip("lab_msgs.msg")
     serialization = pytest.importorskip("rclpy.serialization")
     highlevel = pytest.importorskip("rosbags.highlevel")
-    limits = messages.Limits(speed_m_s=7.0)
-    uav = messages.UavState(id=3, mode="form", formation_error_m=0.25, limits=limits)
-    state = messages.FleetState(share_of_time=0.5, not_in_place=[3, 5], uavs=[uav])
-    topic = declare("/formation/state", "ptnsbc_interfaces/msg/FleetState")
+    vehicle = messages.Vehicle(id=3, mode="form")
+    vehicle.position.y = 7.0
+    state = messages.Vehicles(share_of_time=0.5, late=[3, 5], vehicles=[vehicle])
+    topic = declare("/lab/state", "lab_msgs/msg/Vehicles")
     with BagWriter(tmp_path / "state", [topic]) as writer:
         writer.write(topic.name, 7, serialization.serialize_message(state))
     with highlevel.AnyReader([tmp_path / "state"]) as reader:
         ((connection, stamp, data),) = reader.messages()
         read = reader.deserialize(data, connection.msgtype)
-    assert (stamp, read.share_of_time, list(read.not_in_place)) == (7, 0.5, [3, 5])
-    assert read.uavs[0].mode == "form"
-    assert read.uavs[0].formation_error_m == 0.25
-    assert read.uavs[0].limits.speed_m_s == 7.0
+    assert (stamp, read.share_of_time, list(read.late)) == (7, 0.5, [3, 5])
+    assert read.vehicles[0].mode == "form"
+    assert read.vehicles[0].position.y == 7.0

@@ -84,15 +84,6 @@ def test_the_fault_of_one_uav_must_not_strike_those_beside_it(paper_5):
     check_options(FleetOptions(struck))
 
 
-def test_the_operators_interface_runs_beside_the_computer_that_leads(paper_5):
-    """Before the UAVs: by it an operator lets vehicles arm, which wait for their UAV processes."""
-    assert list(started(FleetOptions(paper_5, operator=True)))[:2] == ["operator", "uav1"]
-    for only, there in (("recorder,sim,1", True), ("2,3,4,5", False)):
-        chosen_here = chosen(only, paper_5, "sim")
-        found = started(FleetOptions(paper_5, operator=True, only=chosen_here))
-        assert ("operator" in found) is there
-
-
 def test_the_computer_with_the_recorder_leads(paper_5):
     assert FleetOptions(paper_5).leads
     assert FleetOptions(paper_5, only=frozenset({"recorder"})).leads

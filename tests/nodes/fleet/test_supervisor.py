@@ -64,14 +64,12 @@ def ended(tmp_path, monkeypatch):
     (tmp_path / "stays.py").write_text(_STAYS)
     monkeypatch.setattr(flights, "end", kill)
 
-    def end(name: str, state: str, **more: bool) -> tuple[list[str], list[str]]:
+    def end(name: str, state: str) -> tuple[list[str], list[str]]:
         said: list[str] = []
         node = SimpleNamespace(end=lambda _seconds: None, leave=lambda: None)
         folders = os.pathsep.join([str(ROOT), str(tmp_path)])
         environment = {**os.environ, "PYTHONPATH": folders}
-        child = ChildProcess(
-            ProcessCommand(name, "stays", (state,), **more), environment, Path(tmp_path)
-        )
+        child = ChildProcess(ProcessCommand(name, "stays", (state,)), environment, Path(tmp_path))
         options = FleetOptions(load_scenario("paper_5"))
         flight = supervisor_of(options, node, [child], progress=said.append)
         while not child.log_lines():
@@ -111,13 +109,6 @@ def test_the_launcher_has_left_the_network_before_its_processes_leave_it(monkeyp
 def test_a_process_that_is_killed_at_work_has_died(ended, name):
     died, (line,) = ended(name, "working")
     assert died == [name]
-    assert "signal SIGKILL" in line
-
-
-@pytest.mark.ros
-def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
-    died, (line,) = ended("operator", "working", beside=True)
-    assert died == []
     assert "signal SIGKILL" in line
 
 

@@ -35,7 +35,7 @@ from launch_ros.actions import Node
 # [s] from SIGINT to the harder signals: a bridge lands its vehicle, and the recorder completes its bag.
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
-SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator", "wait")
+SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "wait")
 VALUES = ("backend", "namespace", "duration", "mission")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 VIEWED = ("/formation/markers", "/clock")
@@ -68,8 +68,7 @@ def generate_launch_description() -> LaunchDescription:
             argument("record", "", "record into this folder"),
             flag("overwrite", "replace an existing recording"),
             flag("check", "dry runs before anything starts; a scenario that they miss is refused"),
-            flag("operator", "offer the state of the fleet, legs and stop in ptnsbc_interfaces"),
-            flag("wait", "an operator starts the flight, by /formation/start or a goal"),
+            flag("wait", "an operator starts the flight, by /formation/start"),
             flag("rviz", "show the formation"),
             flag(
                 "foxglove",
