@@ -32,7 +32,6 @@ AFTER_S = 10.0
 """Perturbed flights end so long after the deadline, or with the scenario."""
 
 _LEAST_AFTER_S = 2.0  # a scenario that ends earlier is flown for so long
-_INFINITE = float("inf")
 _EXACT = 1e-9
 _MORE_LOSS = 0.05
 _MORE_DELAY_S = 0.02
@@ -83,8 +82,8 @@ class DryRun:
         """The flight to look at: the worst verdict, and of these the least room, then the largest error."""
 
         def rank(flight: DryFlight) -> tuple[int, float, float]:
-            room = _INFINITE if flight.room_m is None else flight.room_m
-            error = _INFINITE if flight.error_m is None else flight.error_m
+            room = math.inf if flight.room_m is None else flight.room_m
+            error = math.inf if flight.error_m is None else flight.error_m
             return WORST_FIRST.index(flight.verdict), room, -error
 
         return min(self.flights, key=rank)
@@ -115,12 +114,13 @@ def least_share(scenario: Scenario) -> float:
 
 def accepts(scenario: Scenario, runs: int, seed: int = 0, least: float | None = None) -> bool:
     """The answer of `dry_run(…).accepted()`; no flight is flown that cannot change it. `least`: another share."""
-    least, missed = least_share(scenario) if least is None else least, 0
-    for number, flight in enumerate(_flights(scenario, runs, seed)):
-        missed += not flight.met
-        if missed and (number == 0 or missed > (1.0 - least) * (runs + 1) + _EXACT):
-            return False
-    return True
+    least, met = least_share(scenario) if least is None else least, 0
+    needed = math.ceil(least * (runs + 1) - _EXACT)
+    for flown, flight in enumerate(_flights(scenario, runs, seed), start=1):
+        met += flight.met
+        if met >= needed or not met or met + runs + 1 - flown < needed:
+            break
+    return met >= needed
 
 
 def dry_run_says(plan: SweepPlan, k: int) -> str:
@@ -166,7 +166,7 @@ def _worse_links(scenario: Scenario) -> Iterator[SweepAxis]:
 def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
     def rank(row: SweepRow) -> tuple[int, float]:
         error = _finite(row.largest_after_all_m)
-        return WORST_FIRST.index(row.verdict), -(_INFINITE if error is None else error)
+        return WORST_FIRST.index(row.verdict), -(math.inf if error is None else error)
 
     worst = min(rows, key=rank)
     rooms = [

@@ -32,9 +32,8 @@ class SweepRow:
     band_m: float | None
     settling_s: float | None  # None: the error ends outside the band
     error_at_deadline_m: float | None
-    in_place: (
-        bool | None
-    )  # at the deadline, whatever excuses it; None: not expected then, by the plan
+    # at the deadline, whatever excuses it; None: not expected then, by the plan
+    in_place: bool | None
     arrived_s: float | None  # of a UAV that kept its promise, and came later than the deadline
     gave_way_to: str  # why it was not in place: UAVs and obstacles, separated by commas
     largest_after_m: float | None  # after the deadline, outside encounters

@@ -44,11 +44,12 @@ _STEP = 0.6  # of the chains: the least spread of 0.5, 0.65 and 0.8 on half spac
 # Standard deviations of an interval of 95 %: levels are not independent, which the variance leaves out. With 1.96 it
 # held 91 of 100 half spaces of 1e-4 and of 1e-6.
 _REACH = 2.25
-_NONE = 10.0  # margin of a promise that a flight does not make
+NO_MARGIN = 10.0
+"""Margin of a promise that a flight does not make, and of all promises of a flight that is not flown or refused."""
 
 Evaluate = Callable[[Array], Array]
 Generations = Generator[Array, Array, "Rare | None"]
-"""Yields points (M, D), is sent their margins (M, 3), and returns what it found."""
+"""Yields points (M, D), is sent their margins (M, promises), and returns what it found."""
 
 
 class Rare(NamedTuple):
@@ -77,8 +78,8 @@ def worst(dims: int, flights: int, seed: int) -> Generations:
         points = np.array([[one.ask() for _ in range(CHUNK_DRAWS)] for one in species])
         margins = yield points.reshape(-1, dims)
         for number, (one, of) in enumerate(zip(species, np.split(margins, _SPECIES), strict=True)):
-            promise = number % (len(MARGINS) + 1)  # the last of them: whichever is least
-            values = of.min(axis=1) if promise == len(MARGINS) else of[:, promise]
+            promise = number % (of.shape[1] + 1)  # the last of them: whichever is least
+            values = of.min(axis=1) if promise == of.shape[1] else of[:, promise]
             one.tell(list(zip(points[number], values.tolist(), strict=True)))
             if one.should_stop():
                 species[number] = begun()
@@ -146,22 +147,20 @@ def fly_margins(plan_json: str) -> Array:
     A draw that cannot be flown, or that the dry run refuses, breaks nothing.
     """
     plan = SweepPlan.from_json(plan_json)
-    found = np.full((plan.draws, len(MARGINS)), _NONE)
+    found = np.full((plan.draws, len(MARGINS)), NO_MARGIN)
     room: HeadlessFlight | None = None
     for k in range(plan.draws):
         try:
             rows, _, room = fly_draw(plan, k, room)
             for column, name in enumerate(MARGINS):
                 values = [value for row in rows if (value := getattr(row, name)) is not None]
-                found[k, column] = np.nan_to_num(min(values, default=_NONE), nan=-_NONE)
-            if (
-                rows[0].flight_verdict not in KEPT
-            ):  # for whatever reason: nothing is left of its margin
+                found[k, column] = np.nan_to_num(min(values, default=NO_MARGIN), nan=-NO_MARGIN)
+            if rows[0].flight_verdict not in KEPT:  # for whatever reason: nothing is left of it
                 found[k, 1] = min(found[k, 1], -1e-9)
             if plan.check and found[k].min() < 0.0 and dry_run_says(plan, k) == REFUSED:
-                found[k] = np.maximum(found[k], 0.0)
+                found[k] = NO_MARGIN
         except PtnsbcError:
-            found[k] = _NONE
+            found[k] = NO_MARGIN
     return found
 
 
@@ -170,7 +169,7 @@ class Found:
     """The worst flights of a search, and all margins."""
 
     plan: SweepPlan  # of its worst flights, the worst first
-    margins: Array  # (flights,) of all that it flew, in their order
+    margins: Array  # (flights, promises) of all that it flew, in their order
     rare: Rare | None
 
     def so_far(self) -> list[tuple[int, float]]:
@@ -187,13 +186,11 @@ class Found:
 
     def as_json(self) -> dict[str, Any]:
         """As plain data."""
-        worst = sorted(self.margins.tolist())[: len(self.plan.points)]
-        kept = [
-            {"draw": k, "margin": margin, "inputs": self.inputs(k)}
-            for k, margin in enumerate(worst)
-        ]
+        worst = sorted(self.margins.min(axis=1).tolist())[: len(self.plan.points)]
         rare = None if self.rare is None else self.rare._asdict()
-        return {"flights": len(self.margins), "so_far": self.so_far(), "rare": rare, "worst": kept}
+        kept = ({"draw": k, "margin": of, "inputs": self.inputs(k)} for k, of in enumerate(worst))
+        found = {"so_far": self.so_far(), "rare": rare, "worst": [*kept]}
+        return {"flights": len(self.margins), **found}
 
 
 def search(
@@ -201,6 +198,7 @@ def search(
     folder: Path,
     *,
     least: float | None = None,
+    promise: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -211,6 +209,7 @@ def search(
         plan: what may be drawn; its ranges, starts and family are the space.
         folder: keeps the margins, so that a search that was ended goes on.
         least: ask for the probability of a broken promise, down to this one; None: for the worst flights.
+        promise: the one of MARGINS that counts; None: all of them.
         workers: processes on this machine, by default one for each core.
         overwrite: begin anew where the folder holds another search.
         progress: called with (flights done, flights in all).
@@ -222,7 +221,10 @@ def search(
     dims = sum(count for _, count in plan.layout)
     if plan.cells > 1 or dims < 2:  # the seed of the noise alone is no space
         raise SweepError("search: expected ranges, starts or a family, and no list or grid")
-    told = json.dumps({"plan": plan.to_json(), "least": least, "made_by": made_by(plan)})
+    space = replace(plan, runs=0).to_json()  # more flights go on with the search
+    asked = {"space": space, "least": least, "promise": promise, "made_by": made_by(plan)}
+    told = json.dumps(asked)
+    counted = [MARGINS.index(promise)] if promise else slice(None)
     about, kept = folder / "search.json", folder / "margins.npy"
     folder.mkdir(parents=True, exist_ok=True)
     if about.exists() and about.read_text(encoding="utf-8") != told:
@@ -252,13 +254,13 @@ def search(
             if progress is not None:
                 progress(done + len(known), max(plan.runs, done + len(known)))
             try:
-                points.append(generations.send(known))
+                points.append(generations.send(known[:, counted]))
             except StopIteration as end:
                 result = end.value
                 break
-    every, of = np.concatenate(points), np.concatenate(margins).min(axis=1)
-    order = np.argsort(of, kind="stable")[:KEPT_FLIGHTS]
-    chosen = tuple(map(tuple, every[order].tolist()))
+    of = np.concatenate(margins)[:, counted]
+    order = np.argsort(of.min(axis=1), kind="stable")[:KEPT_FLIGHTS]
+    chosen = tuple(map(tuple, np.concatenate(points)[order].tolist()))
     return Found(replace(plan, points=chosen, runs=len(chosen)), of, result)
 
 
@@ -275,9 +277,8 @@ def _workers(plan: SweepPlan, dims: int, workers: int) -> Iterator[Callable[...,
     if workers == 1:
         yield map
         return
-    fly_margins(
-        *_plans(plan, np.zeros((1, dims)))
-    )  # the laws are loaded before the workers are forked
+    # The laws are loaded before the workers are forked.
+    fly_margins(*_plans(plan, np.zeros((1, dims))))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), depend_on_parent)
     try:
         yield pool.map

@@ -174,6 +174,10 @@ class Draws(Choices):
             0.5,
         ),
     ] = None
+    promise: Annotated[
+        Literal["keep_out", "deadline", "return"] | None,
+        option("--promise WHICH", "Search for this promise alone, by default the worst flights."),
+    ] = None
     name: Annotated[
         str | None, option("--name NAME", "Default: that of the scenario or the family.")
     ] = None
@@ -242,8 +246,8 @@ def sweep(
     plan = draws.plan(scenario)
     folder = out or SWEEPS / plan.name
     searched = None
-    if draws.search or draws.rare is not None:
-        searched = _search(plan, folder, draws.rare, workers, overwrite=overwrite)
+    if draws.search or draws.rare is not None or draws.promise:
+        searched = _search(plan, folder, draws, workers, overwrite=overwrite)
         plan = searched.plan
     _clear(folder, plan, overwrite=overwrite or searched is not None)
     flown = _fly(plan, folder, workers)
@@ -289,17 +293,17 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
 
 
 def _search(
-    plan: SweepPlan, folder: Path, least: float | None, workers: int | None, *, overwrite: bool
+    plan: SweepPlan, folder: Path, draws: Draws, workers: int | None, *, overwrite: bool
 ) -> Found:
     from ptnsbc_sim.sweep.runner import SEARCH
     from ptnsbc_sim.sweep.search import search as search_draws
 
     place = folder / SEARCH
+    promise = draws.promise and f"{draws.promise}_margin"
+    about: dict[str, Any] = {"least": draws.rare, "promise": promise, "workers": workers}
     try:
         with console.progress("searching", None) as advance:
-            return search_draws(
-                plan, place, least=least, workers=workers, overwrite=overwrite, progress=advance
-            )
+            return search_draws(plan, place, overwrite=overwrite, progress=advance, **about)
     except KeyboardInterrupt:
         console.say(f"interrupted: what was flown is in {place}; the same command goes on")
         raise typer.Exit(_INTERRUPTED) from None

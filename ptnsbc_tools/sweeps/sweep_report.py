@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from itertools import combinations
@@ -21,7 +21,7 @@ from ptnsbc_tools.plotting.charts import COLOURS, GOOD, OBSTACLE
 from ptnsbc_tools.plotting.draw import blank_figure, save
 from ptnsbc_tools.report.page import asset, html_table
 from ptnsbc_tools.sweeps import summary
-from ptnsbc_tools.sweeps.summary import Column, FlownSweep, Share, share_of
+from ptnsbc_tools.sweeps.summary import Column, FlownSweep, share_of
 
 _MOST_BINS = 8
 _LEAST_IN_BIN = 10
@@ -90,23 +90,17 @@ def drawn_axes(sweep: FlownSweep) -> list[DrawnAxis]:
     return [one for one in found if one is not None]
 
 
-def plot_shares(axes: Any, at: Array, shares: Sequence[Share]) -> None:
-    """Shares at (G,) with their intervals as bars."""
-    values = np.array([one.value for one in shares])
-    reach = [
-        [max(one.value - one.low, 0.0) for one in shares],
-        [max(one.high - one.value, 0.0) for one in shares],
-    ]
-    axes.errorbar(at, values, yerr=reach, fmt="o", markersize=4, capsize=3, color=COLOURS[0])
-    axes.set_ylim(-0.03, 1.03)
-    axes.grid(alpha=0.3)
-
-
 def draw_against(axes: Any, sweep: FlownSweep, axis: DrawnAxis) -> None:
     """Draw the share of flights met against something drawn on Matplotlib axes."""
     met = sweep.table.flights.met
     groups = range(len(axis.labels))
-    plot_shares(axes, axis.centres, [share_of(met[axis.group == one]) for one in groups])
+    shares = [share_of(met[axis.group == one]) for one in groups]
+    bounds = np.array([[one.value - one.low, one.high - one.value] for one in shares])
+    reach, values = np.maximum(bounds, 0.0).T, [one.value for one in shares]
+    centres, colour = axis.centres, COLOURS[0]
+    axes.errorbar(centres, values, yerr=reach, fmt="o", markersize=4, capsize=3, color=colour)
+    axes.set_ylim(-0.03, 1.03)
+    axes.grid(alpha=0.3)
     if axis.words:
         axes.set_xticks(axis.centres, axis.labels)
     axes.set(xlabel=axis.name, ylabel="share of flights met")

@@ -79,6 +79,14 @@ def test_half_of_the_flights_must_be_met(monkeypatch, met, of, accepted):
     assert accepts(IN_TIME, of - 1) == accepted
 
 
+@pytest.mark.parametrize("verdict", ["met", "missed"])
+def test_no_flight_is_flown_once_the_answer_is_known(monkeypatch, verdict):
+    flown = iter([flight("met"), *[flight(verdict)] * 20])
+    monkeypatch.setattr(module, "_flights", lambda *_: flown)
+    assert accepts(IN_TIME, 20) == (verdict == "met")
+    assert len([*flown]) == (10 if verdict == "met" else 9)
+
+
 def test_the_unperturbed_flight_must_be_met(monkeypatch):
     flights = [flight("missed"), *[flight("met")] * 20]
     monkeypatch.setattr(module, "_flights", lambda *_: iter(flights))

@@ -116,7 +116,7 @@ def test_a_search_goes_on_and_does_not_depend_on_its_workers(
     monkeypatch.setattr(search, "_SPECIES", 2)
     plan = plan_near(75, stop_after_s=0.1)
     whole = search.search(plan, tmp_path / "a", workers=1)
-    assert len(whole.margins) == 100  # two generations
+    assert whole.margins.shape == (100, len(MARGINS))  # two generations
     kept = tmp_path / "a" / "margins.npy"
     np.save(kept, np.load(kept)[:50])  # as if it was ended after the first one
     again = search.search(plan, tmp_path / "a", workers=2)
@@ -124,9 +124,20 @@ def test_a_search_goes_on_and_does_not_depend_on_its_workers(
     assert again.plan == whole.plan
     assert whole.so_far()[-1] == (100, whole.margins.min())
     margins = [min(search.fly_margins(whole.plan.to_json())[k]) for k in range(3)]
-    assert margins == sorted(whole.margins.tolist())[:3]
+    assert margins == sorted(whole.margins.min(axis=1).tolist())[:3]
     with pytest.raises(SweepError, match="another search"):
-        search.search(plan_near(76, stop_after_s=0.1), tmp_path / "a", workers=1)
+        search.search(plan_near(75, stop_after_s=0.2), tmp_path / "a", workers=1)
+
+
+def test_more_flights_go_on_with_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "_SPECIES", 2)
+    first = search.search(plan_near(50, stop_after_s=0.1), tmp_path, workers=1)
+    flown: list[str] = []
+    fly = search.fly_margins
+    monkeypatch.setattr(search, "fly_margins", lambda plan: flown.append(plan) or fly(plan))
+    more = search.search(plan_near(100, stop_after_s=0.1), tmp_path, workers=1)
+    assert (len(flown), len(more.margins)) == (2, 100)  # chunks of 25
+    assert more.margins[:50].tolist() == first.margins.tolist()
 
 
 def test_a_search_needs_something_to_vary(tmp_path: Path) -> None:
@@ -140,4 +151,25 @@ def test_what_the_dry_runs_refuse_breaks_no_promise(monkeypatch: pytest.MonkeyPa
     assert search.fly_margins(plan.to_json()).min() < 0.0
     monkeypatch.setattr(search, "dry_run_says", lambda plan, k: search.REFUSED)
     checked = plan_near(1, stop_after_s=0.1, check=1)
-    assert search.fly_margins(checked.to_json()).min() == 0.0
+    assert (search.fly_margins(checked.to_json()) == search.NO_MARGIN).all()
+
+
+def test_what_is_refused_does_not_end_the_levels_of_a_rare_event() -> None:
+    # of five flights one is refused, and of the others none breaks a promise
+    def margin(z: Array) -> Array:
+        return np.where(z[:, 0] > 0.85, search.NO_MARGIN, 9.0 - z[:, 1])
+
+    _, found = answered(search.rare(DIMS, 1e-4, 0), margin)
+    assert found is not None
+    assert (found.probability, found.high) == (0.0, 1e-4)
+
+
+def test_one_promise_is_searched_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "_SPECIES", 2)
+    plan = plan_near(50, stop_after_s=0.1)
+    found = search.search(plan, tmp_path, promise="keep_out_margin", workers=1)
+    assert found.margins.shape == (50, 1)
+    distances = [min(row.keep_out_margin for row in fly_draw(found.plan, k)[0]) for k in range(3)]
+    assert distances == sorted(found.margins[:, 0].tolist())[:3]
+    with pytest.raises(SweepError, match="another search"):
+        search.search(plan, tmp_path, workers=1)

@@ -202,6 +202,7 @@ def test_a_sweep_of_another_plan_stays_unless_it_may_go(tmp_path: Path) -> None:
         ("sweep", "paper_5", "--starts", "there"),
         ("sweep", "--family", "nobody"),
         ("sweep", "paper_5", "--search", "worst"),
+        ("sweep", "paper_5", "--promise", "keep_out"),
         ("simulate",),
         ("simulate", "paper_5", "--draw", 1),
         ("simulate", "--sweep", "nowhere", "--draw", 1),
