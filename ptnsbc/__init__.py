@@ -17,7 +17,7 @@ from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools.check import CheckReport, Finding
 from ptnsbc_tools.doctor import examine as doctor
-from ptnsbc_tools.library.bags import Repaired, repair, rerun, trim
+from ptnsbc_tools.library.bags import Repaired, repair, rerun
 from ptnsbc_tools.library.flight import QUANTITIES, Flight, Quantity
 from ptnsbc_tools.library.flying import check, fly, fly_fleet, load, read_bag, verdict
 from ptnsbc_tools.library.new_scenario import new
@@ -45,7 +45,6 @@ __all__ = [
     "export",
     "report",
     "rerun",
-    "trim",
     "repair",
     "Scenario",
     "CheckReport",

@@ -1,4 +1,4 @@
-"""`ptnsbc bag`: record, replay, show, repair and trim bags."""
+"""`ptnsbc bag`: record, replay, show and repair bags."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _INTERRUPTED = 130
 _MEGABYTE = 1_000_000
 
-bag = group("Record, replay, show, repair or trim bags.")
+bag = group("Record, replay, show or repair bags.")
 
 
 @bag.command()
@@ -136,33 +136,6 @@ def repair(
     print(f"{rescued} rescued; {'; '.join(lost) or 'nothing was missing'}")
     print(f"bag: {made.bag}")
     print(f"original: {made.original or 'discarded'}")
-
-
-@bag.command()
-def trim(
-    bag: BagArgument,
-    output: Annotated[Path, option("--output -o DIR", "Folder of the new bag.")],
-    begin: Annotated[
-        float,
-        option("--from S", "Keep messages from here on, after the first one.", 0.0, LONGEST_S),
-    ] = 0.0,
-    end: Annotated[
-        float | None, option("--to S", "Keep messages up to here. Default: all.", 0.0, LONGEST_S)
-    ] = None,
-    overwrite: OverwriteOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Write a span of a bag into a new one; times and bytes of the messages stay.
-
-    What latched topics said before the span, such as the epoch, is kept.
-    """
-    from ptnsbc_tools.library import bags as library
-
-    count = library.trim(bag, output, begin, end, overwrite=overwrite, progress=True)
-    if json:
-        console.print_json({"bag": str(output), "messages": count})
-    else:
-        print(f"{console.counted(count, 'message')}: {output}")
 
 
 @bag.command()

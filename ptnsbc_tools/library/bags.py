@@ -1,4 +1,4 @@
-"""Bags made of bags: repaired, from all that is readable, or a span; and bags that are run again.
+"""Bags that are repaired, from all that is readable, and bags that are run again.
 
 A new bag is written beside its name and renamed at the end. A damaged bag is kept unless it is to be discarded.
 """
@@ -12,7 +12,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_io.bag import (
     Bag,
     BagError,
@@ -23,11 +22,10 @@ from ptnsbc_io.bag import (
     read_bag,
 )
 from ptnsbc_io.bag.mcap_file import Damage
-from ptnsbc_io.bag.metadata import DamagedError, is_latched, offered_profiles
+from ptnsbc_io.bag.metadata import DamagedError, offered_profiles
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
-from ptnsbc_tools.limits import refuse_outside
 from ptnsbc_tools.reading.bag_reader import scenario_of
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
@@ -117,7 +115,7 @@ def _rescued(writer: BagWriter, bag: Bag, damage: Damage) -> Iterator[BagMessage
         yield from mcap_file.messages(file, contents, None, damage)
 
 
-def _writer(folder: Path, bag: Bag, *, overwrite: bool = False) -> BagWriter:
+def _writer(folder: Path, bag: Bag) -> BagWriter:
     """A writer with the topics, attachments and metadata of a bag, each as its first file has it."""
     if not bag.files:
         raise BagError(
@@ -149,62 +147,10 @@ def _writer(folder: Path, bag: Bag, *, overwrite: bool = False) -> BagWriter:
     for name in bag.attachments:
         with suppress(DamagedError):
             attachments[name] = bag.attachment(name)
-    writer = BagWriter(folder, list(topics.values()), attachments=attachments, overwrite=overwrite)
+    writer = BagWriter(folder, list(topics.values()), attachments=attachments)
     records.pop("rosbag2", None)  # the writer makes a new one
     writer.records.update(records)
     return writer
-
-
-def trim(
-    bag: str | Path,
-    output: str | Path,
-    begin_s: float = 0.0,
-    end_s: float | None = None,
-    *,
-    overwrite: bool = False,
-    progress: bool | None = None,
-) -> int:
-    """Write a span of a bag into a new one, as `ptnsbc bag trim`; times and bytes of the messages stay.
-
-    Args:
-        begin_s: keep messages from here on [s], after the first one.
-        end_s: keep messages up to here [s]; None: all.
-
-    Returns:
-        The number of messages in the span.
-
-    Raises:
-        BagError: no bag, no message in this span, or an existing bag at `output`.
-        LimitError: a time that no bag reaches.
-    """
-    refuse_outside("begin_s", begin_s)
-    refuse_outside("end_s", end_s)
-    whole = read_bag(bag)
-    begin_ns = whole.start_ns + nanoseconds(begin_s)
-    end_ns = whole.end_ns if end_s is None else whole.start_ns + nanoseconds(end_s)
-    latched = {name for name, topic in whole.topics.items() if is_latched(topic.offered_qos)}
-
-    def kept() -> Iterator[BagMessage]:
-        for message in whole.messages():
-            within = begin_ns <= message.stamp_ns <= end_ns
-            if within or (message.topic in latched and message.stamp_ns < begin_ns):
-                yield message
-
-    if not any(begin_ns <= message.stamp_ns <= end_ns for message in whole.messages()):
-        begin, end, last = (seconds(t - whole.start_ns) for t in (begin_ns, end_ns, whole.end_ns))
-        raise BagError(
-            f"{bag}: no message from {begin:g} s to {end:g} s after its first one: "
-            f"expected times from 0 s to {last:g} s"
-        )
-    writer = _writer(Path(output), whole, overwrite=overwrite)
-    total = sum(topic.messages for topic in whole.topics.values())
-    done = 0
-    with console.progress("trimming", progress) as advance, writer:
-        for done, message in enumerate(kept(), start=1):
-            writer.write(*message)
-            if done % _PROGRESS_EVERY == 0:
-                advance(done, total)
-    return done
 
 
 def rerun(

@@ -71,7 +71,7 @@ def test_help_all_has_every_command_in_its_panel() -> None:
 
 
 def test_help_of_a_command() -> None:
-    assert run("help", "bag", "trim") == run("bag", "trim", "--help")
+    assert run("help", "bag", "repair") == run("bag", "repair", "--help")
     assert run("help", "dance")[0] == 2
 
 

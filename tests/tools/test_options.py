@@ -51,7 +51,11 @@ def test_the_shell_completes_the_names_of_scenarios() -> None:
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [("check paper_5_f", ["paper_5_free"]), ("simulate nothing", []), ("bag tri", ["trim"])],
+    [
+        ("check paper_5_f", ["paper_5_free"]),
+        ("simulate nothing", []),
+        ("bag rep", ["repair", "replay"]),
+    ],
 )
 def test_the_completion_answers_the_shell(words: str, said: list[str]) -> None:
     asked = {"_PTNSBC_COMPLETE": "complete_bash", "COMP_WORDS": f"ptnsbc {words}"}

@@ -1,4 +1,4 @@
-"""A repair rescues what is readable of a killed, cut or damaged recording; a trim writes a span of a bag."""
+"""A repair rescues what is readable of a killed, cut or damaged recording."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import ptnsbc
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.wire import HeaderTemplate
-from ptnsbc_tools.library.bags import repair, trim
+from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.replay.rerun import EQUAL
 
 TOPICS = (
@@ -243,64 +242,7 @@ def test_kill_at_any_moment(tmp_path):
     assert max(kill.loss_s for kill in killed) < 1.0
 
 
-HEADER = "std_msgs/msg/Header"
-EPOCH = declare("/formation/epoch", HEADER, latched=True, depth=1)
-
-
-def header(k: int) -> bytes:
-    return HeaderTemplate(f"m{k}").encode(k)
-
-
-def write_headers(path: Path, topic: str, times: range) -> Path:
-    topics = [EPOCH, declare(topic, HEADER)]
-    attached = {"scenario.yaml": b"n: 1\n"}
-    with BagWriter(path, topics, attachments=attached, metadata={"seed": "7"}) as bag:
-        bag.write(EPOCH.name, times[0], header(0))
-        for k in times:
-            bag.write(topic, k, header(k))
-    return path
-
-
-def test_a_span_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
-    whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
-    assert trim(whole, tmp_path / "part", 30e-9, 60e-9) == 5
-    part = read_bag(tmp_path / "part")
-    assert find_problems(part) == []
-    assert [(m.topic, m.stamp_ns, m.data) for m in part.messages()] == [
-        (EPOCH.name, 100, header(0)),
-        *(("/a", k, header(k)) for k in (130, 140, 150, 160)),
-    ]
-    assert part.attachment("scenario.yaml") == b"n: 1\n" and part.metadata == {"seed": "7"}
-    assert part.topics[EPOCH.name].offered_qos == read_bag(whole).topics[EPOCH.name].offered_qos
-
-
-def test_an_empty_span_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    whole = write_headers(tmp_path / "whole", "/a", range(100, 200, 10))
-    with pytest.raises(BagError, match="no message from 2e-07 s to 3e-07 s after its first"):
-        trim(whole, tmp_path / "part", 2e-7, 3e-7)
-    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
-    trim(whole, tmp_path / "part", 0.0, 3e-7)
-    with pytest.raises(BagError, match="exists"):
-        trim(whole, tmp_path / "part", 0.0, 3e-7)
-
-
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
-
-
-def test_a_bag_cut_in_two_has_its_messages_in_its_parts(tmp_path: Path) -> None:
-    whole = read_bag(SAMPLE)
-    half_s = (whole.end_ns - whole.start_ns) * 0.5e-9
-    first = ptnsbc.trim(SAMPLE, tmp_path / "first", end_s=half_s)
-    second = ptnsbc.trim(SAMPLE, tmp_path / "second", half_s + 1e-9)
-    latched = first + second - sum(topic.messages for topic in whole.topics.values())
-    assert 0 <= latched < 10 and min(first, second) > 0  # what latched topics said is in both
-    assert set(read_bag(tmp_path / "second").topics) == set(whole.topics)
-
-
-def test_a_span_outside_the_bag_is_refused_in_seconds(tmp_path: Path) -> None:
-    words = "no message from 100 s to 7.99 s after its first one: expected times from 0 s to 7.99 s"
-    with pytest.raises(BagError, match=words):
-        ptnsbc.trim(SAMPLE, tmp_path / "part", 100.0)
 
 
 @pytest.mark.slow

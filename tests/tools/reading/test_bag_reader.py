@@ -29,7 +29,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.library.bags import repair, trim
+from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.options import ReadOptions, TopicPatternError
 from ptnsbc_tools.reading.bag_reader import (
     DiagnosticCounters,
@@ -328,7 +328,7 @@ def test_every_command_reads_a_bag_that_rosbag2_converted(headless, scenario, tm
     refused = CliRunner().invoke(app, ["bag", "info", str(tmp_path / "bag"), "--check"])
     assert refused.exit_code == 2 and "only they have checksums" in refused.stderr
     with pytest.raises(BagError, match="`ros2 bag convert` makes of others"):
-        trim(tmp_path / "bag", tmp_path / "part")
+        repair(tmp_path / "bag", tmp_path / "part")
 
 
 @pytest.mark.parametrize("pattern", ["/odom", "/drone{N}/odom", ""])
