@@ -14,7 +14,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ptnsbc_core.curves.trajectory import COEFFICIENTS
 from ptnsbc_core.types import Array
+
+COEFFICIENT_NAMES = tuple(f"{axis}^{k}" for axis in (*"xyz", "yaw") for k in range(COEFFICIENTS))
+"""Columns of polynomials of a path, behind `duration`: x^0 is the lowest power of x."""
 
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6}
 _SECONDS |= {"usec": 1e-6, "ns": 1e-9, "nsec": 1e-9}
@@ -22,12 +26,13 @@ _METRES = {"m": 1.0, "metres": 1.0, "meters": 1.0, "cm": 0.01, "mm": 1e-3, "km":
 _RADIANS = {"rad": 1.0, "radians": 1.0} | dict.fromkeys(("deg", "degrees", "°"), math.pi / 180)
 _UNITS = {"t": _SECONDS, "yaw": _RADIANS} | dict.fromkeys("xyz", _METRES)
 _UNITS |= {f"v{axis}": {**_METRES, "s": 1.0} for axis in "xyz"}
-_UNITS |= {f"q{axis}": {} for axis in "xyzw"}
+_UNITS |= {f"q{axis}": {} for axis in "xyzw"} | {key: {} for key in COEFFICIENT_NAMES}
+_UNITS["duration"] = _SECONDS
 _ALIASES = {"t": {"t", "time", "timestamp"}, "yaw": {"yaw", "heading"}}
 _ALIASES |= {axis: {axis, f"t{axis}"} for axis in "xyz"}  # TUM: tx
 _BESIDE = {"pos", "position", "pose", "point", "enu"}  # words that change nothing
 _NAMES = _UNITS.keys() | set[str]().union(*_ALIASES.values())
-_WORD = re.compile(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+|°")
+_WORD = re.compile(r"(?:[A-Z]?[^\W\d_A-Z]+|[A-Z]+)(?:\^\d)?|°")
 
 
 def read_table(
@@ -37,7 +42,8 @@ def read_table(
 
     Args:
         text: the table.
-        columns: names in their order, of `t x y z vx vy vz qx qy qz qw yaw` where the table may have names.
+        columns: names in their order, of `t x y z vx vy vz qx qy qz qw yaw`, `duration` and COEFFICIENT_NAMES where the
+            table may have names.
         optional: of the columns at the end: they are in all rows or in none.
         loose: rows without names may be longer, and numbers infinite or none.
 
@@ -58,9 +64,11 @@ def read_table(
                 picked = list(_picked(at, cells, columns, least))
                 continue
             picked = [(column, 1.0) for column in range(min(width, len(columns)))]
-        fits = len(cells) == width <= len(columns)
-        if len(picked) < least or not (fits or ((named or loose) and len(cells) > max(picked)[0])):
-            raise ValueError(f"row {at}: {len(cells)} numbers: expected {expected}")
+        fits = len(cells) == width and (named or width <= len(columns))
+        free = loose and not named and len(cells) > max(picked)[0]
+        if len(picked) < least or not (fits or free):
+            wanted = f"{width}, one for each name" if named else expected
+            raise ValueError(f"row {at}: {len(cells)} numbers: expected {wanted}")
         try:
             row = [float(cells[column].replace(",", ".")) * factor for column, factor in picked]
         except ValueError:
@@ -84,18 +92,19 @@ def _records(text: str) -> Iterator[tuple[int, list[str]]]:
     first = next((line for line in lines if line.strip(" ,;\t") and line.lstrip()[0] != "#"), "")
     mark = next((mark for mark in ";\t," if mark in first.strip()), " ")
     reader = csv.reader(lines, delimiter=mark, skipinitialspace=True)
-    begun = False
+    width = 0
     try:
         for cells in reader:
-            while cells and not cells[-1].strip():  # after a mark at the end of a row
+            while cells[width:] and not cells[-1].strip():  # after a mark at the end of a row
                 cells.pop()
-            if cells and cells[0].startswith(("#", "//")):
+            if not any(map(str.strip, cells)):
+                continue
+            if cells[0].startswith(("#", "//", "sep=")):
                 cells = [cell for cell in [cells[0].lstrip("#/ "), *cells[1:]] if cell]
-                if begun or sum(not _words(cell).isdisjoint(_NAMES) for cell in cells) < 3:
+                if width or sum(not _words(cell).isdisjoint(_NAMES) for cell in cells) < 3:
                     continue
-            if cells:
-                begun = True
-                yield reader.line_num, cells
+            width = width or len(cells)
+            yield reader.line_num, cells
     except csv.Error as error:
         raise ValueError(f"row {reader.line_num}: {error}: expected text of a table") from None
 

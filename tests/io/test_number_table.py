@@ -27,6 +27,8 @@ TURN = [[0.0, 0.5, -1.0, 6.0, 0.0], [0.5, 1.0, 2.0, 6.25, np.pi / 2]]
         ("  0  0.5 -1 6\n0.5 1  2 6.25 \n", ROWS),
         ('t,x,y,z\n0,"0,5",-1,6\n0.5,1,2,"6,25"\n', ROWS),
         ("t,x,y,z,\n0,0.5,-1,6,\n0.5,1,2,6.25,\n", ROWS),
+        ("sep=;\nt;x;y;z\n0;0,5;-1;6\n0,5;1;2;6,25\n", ROWS),  # Excel's own mark
+        ("t,x,y,z,note\n0,0.5,-1,6,\n,,,,\n0.5,1,2,6.25,\n", ROWS),
         ("t,y,x,z\n0,-1,0.5,6\n0.5,2,1,6.25\n", ROWS),
         ("Time [msec],x [m],y [m],z [m],Red\n0,0.5,-1,6,no\n500,1,2,6.25,7\n", ROWS),
         ("t_ms,x_cm,y (mm),z\n0,50,-1000,6\n500,100,2000,6.25\n", ROWS),
@@ -49,7 +51,9 @@ def test_a_table_is_read_as_it_says(text: str, rows: list[list[float]]) -> None:
         ("t,x [deg],y,z\n0,0,0,6\n", r"row 1: column x \[deg\]: expected one named x, in m"),
         ("t,x,y,alt\n0,0,0,6\n", "row 1: column t, x, y, alt: expected one named z"),
         ("t,x,tx,y,z\n0,0,0,0,6\n", "row 1: column x, tx: expected one named x"),
-        ("\nt,x,y,z\n0,0,0\n", "row 3: 3 numbers: expected t, x, y, z and, in all rows or none"),
+        ("\nt,x,y,z\n0,0,0\n", "row 3: 3 numbers: expected 4, one for each name"),
+        ("t,x,y,z\n0,5,1,2,3,0,6,0\n", "row 2: 8 numbers: expected 4, one"),  # decimal commas
+        ("t [s] x y z a b\n0 1 2 6 7 8\n", "row 2: 6 numbers: expected 7, one"),
         ("0,O,0,6\n", "row 1: expected numbers t, x, y, z"),
         ("0,0,0,6\n1,0,,6\n", "row 2: expected numbers"),
         ("0,0,0,6\n1;0;0;6\n", "row 2: 1 numbers: expected t"),

@@ -16,7 +16,7 @@ from pydantic import AliasPath, BaseModel, Field, FiniteFloat, ValidationError
 from ptnsbc_core.curves.trajectory import COEFFICIENTS
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array
-from ptnsbc_io.number_table import head_of, read_table
+from ptnsbc_io.number_table import COEFFICIENT_NAMES, head_of, read_table
 
 FORMS = (
     "rows t, x, y, z, yaw; rows x, y, z, yaw with speed_m_s or rate_hz; poses of TUM; polynomials of uav_trajectories; "
@@ -25,7 +25,6 @@ FORMS = (
 HOME = "plan_home"
 """The key of the home of a plan, until the scenario is whole."""
 
-_POLYNOMIALS = tuple(f"{axis}^{k}" for axis in ("x", "y", "z", "yaw") for k in range(COEFFICIENTS))
 _POSES = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _MOST_BYTES = 20_000_000  # of a file in a show
 _WAYPOINT, _TAKEOFF = 16, 22
@@ -100,8 +99,7 @@ def path_rows(text: str, *, untimed: bool = False, rate_hz: float | None = None)
     if width > 5 and not words and not timed:
         raise ValueError(f"{width} columns without names: expected {FORMS}")
     if pieces:
-        numbers = text.partition("\n")[2] if words else text
-        return read_table(numbers, ("duration", *_POLYNOMIALS)[:width])
+        return read_table(text, ("duration", *COEFFICIENT_NAMES)[:width])
     if poses:
         rows = read_table(text, _POSES)
         if not np.allclose(np.hypot.reduce(rows[:, 4:].clip(-2.0, 2.0), axis=1), 1.0, atol=0.01):

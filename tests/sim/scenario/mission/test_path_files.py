@@ -77,7 +77,18 @@ def drone(*points: Any) -> dict[str, Any]:
     return {"version": 1, "takeoffTime": 3.0, "points": list(points)}
 
 
-@pytest.mark.parametrize("head", ["", f"duration,{NAMES}\n", f"Duration,{NAMES},\n"])
+HEADS = ["", f"duration,{NAMES}\n", f"Duration,{NAMES},\n", f"# fitted\n\nduration,{NAMES}\n"]
+
+
+def test_names_of_polynomials_decide() -> None:
+    turned = ",".join(reversed(f"duration,{NAMES}".split(",")))
+    rows = path_rows(f"{turned}\r{','.join(map(str, range(33)))}\r")
+    np.testing.assert_array_equal(rows, [range(32, -1, -1)])
+    with pytest.raises(ValueError, match=r"expected one named x\^1"):
+        path_rows(f"duration,{NAMES}\n1\n".replace("x^1", "x^9"))
+
+
+@pytest.mark.parametrize("head", HEADS)
 def test_polynomials_are_flown_as_they_are(tmp_path: Path, head: str) -> None:
     first = {0: [0, 0, 0, 0, 1], 1: [1.0], 2: [8.0], 3: [0.5, 0.1]}
     last = {0: [1, 4], 1: [1, 0, 0.5], 2: [8.0], 3: [0.6]}
