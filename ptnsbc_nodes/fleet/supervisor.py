@@ -20,7 +20,7 @@ import time
 from ptnsbc_nodes.bridge.procedure.steps import OVER
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency import in_pilots_hands, latched, records, summary
-from ptnsbc_nodes.fleet.child_process import BRIDGE, ChildProcess, end, fault_lines
+from ptnsbc_nodes.fleet.child_process import BRIDGE, UAV, ChildProcess, end, fault_lines
 from ptnsbc_nodes.fleet.emergency_stop import land_left_behind, order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
@@ -86,11 +86,10 @@ class Supervisor:
 
     def _flying(self) -> bool:
         """True if both a vehicle's process and a UAV are left, as far as this computer knows."""
-        remote = [name for name in self._options.elsewhere if name not in self._node.news.gone]
-        remote_uavs = [name for name in remote if name.startswith("uav")]
+        remote_uavs = [name for name in self._remote if name.startswith("uav")]
         vehicles = any(c.command.ends and c.exit_code is None for c in self._crew.children)
         uavs = any(c.command.uavs and c not in self.died for c in self._crew.children)
-        return (vehicles or len(remote) > len(remote_uavs)) and (uavs or bool(remote_uavs))
+        return (vehicles or len(self._remote) > len(remote_uavs)) and (uavs or bool(remote_uavs))
 
     def _look(self) -> None:
         self._node.spin(_LOOK_S)
@@ -202,21 +201,32 @@ class Supervisor:
     def _bridges(self) -> list[ChildProcess]:
         return [child for child in self._crew.children if child.command.module == BRIDGE]
 
+    @property
+    def _remote(self) -> list[str]:
+        """The processes of other computers that have not ended."""
+        return [name for name in self._options.elsewhere if name not in self._node.news.gone]
+
+    @property
+    def _led(self) -> bool:
+        """True if the process of a UAV is left: one of them offers the services of the leader."""
+        here = (c for c in self._crew.children if c.command.module == UAV)
+        remote = any(name.startswith("uav") for name in self._remote)
+        return remote or any(c.exit_code is None for c in here)
+
     def _land(self) -> None:
         """Land what is still in the air, before the processes that fly it are ended."""
-        news = self._node.news
-        remote = [name for name in self._options.elsewhere if name.startswith("bridge")]
 
         def is_airborne() -> bool:
             return any(child.exit_code is None for child in self._bridges) or (
-                self._options.leads and any(name not in news.gone for name in remote)
+                self._options.leads and any(name.startswith("bridge") for name in self._remote)
             )
 
         if not is_airborne():
             return
         if self._options.leads:
-            call_down(self._node, "stop" if self._stop.came else "land", self._progress)
-        elif not news.over:  # only the vehicles of this computer: others fly on
+            leg = "stop" if self._stop.came else "land"
+            call_down(self._node, leg, self._progress, led=self._led)
+        elif not self._node.news.over:  # only the vehicles of this computer: others fly on
             for bridge in self._bridges:
                 bridge.send(signal.SIGINT)
         limit_s, signals, pilots_s = time.monotonic() + _LANDING_S, self._stop.count, math.inf
@@ -232,10 +242,14 @@ class Supervisor:
                 break
 
 
-def call_down(node: LauncherNode, leg: str, progress: Report) -> None:
-    """Have the leader land the fleet, by `land` or `stop`; without its answer every bridge is told by itself."""
-    refusal = node.leader.call(leg, _LANDING_CALL_S)
-    if refusal is not None:
+def call_down(node: LauncherNode, leg: str, progress: Report, *, led: bool = True) -> None:
+    """Have the leader land the fleet, by `land` or `stop`; without its answer every bridge is told by itself.
+
+    `led`: whether there may be a leader.
+    """
+    refusal = node.leader.call(leg, _LANDING_CALL_S) if led else ""
+    if refusal:
         progress(f"{refusal}: every bridge is told to land by itself")
+    if refusal is not None:
         for line in order_landing(node.folder, node):
             progress(line)

@@ -20,6 +20,7 @@ from ptnsbc_nodes.emergency import (
     summary,
     write_record,
 )
+from ptnsbc_nodes.fleet import child_process
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
@@ -169,9 +170,10 @@ def test_a_sim_without_a_sign_of_life_is_ended():
 class Bridge(Child):
     """The process of a bridge that does not end, unless a test ends it."""
 
-    def __init__(self, name, module="ptnsbc_nodes.bridge.bridge_main"):
+    def __init__(self, name, module=child_process.BRIDGE):
         super().__init__(name)
-        self.command = ProcessCommand(name, module, (), (int(name[-1]),), ends=True)
+        ends = module == child_process.BRIDGE
+        self.command = ProcessCommand(name, module, (), (int(name[-1]),), ends=ends)
 
     def new_lines(self):
         return []
@@ -188,12 +190,15 @@ class Fleet:
         self.folder, self.answer, self.over, self.gone, self.lost = folder, None, False, set(), []
         self.stop = SimpleNamespace(came=stopped, count=int(stopped))
         self.bridges = [Bridge(name) for name in bridges]
+        self.uavs = [Bridge(f"uav{name[-1]}", child_process.UAV) for name in bridges]
         only = frozenset({*only, "recorder"} if leads and only else only)
         options = FleetOptions(
             load_scenario("experiment_4"), backend="mavlink", allow_arming=True, only=only
         )
         monkeypatch.setattr(flights.time, "monotonic", lambda: self.now_s)
-        self.supervisor = supervisor_of(options, self, self.bridges, self.stop, self.said.append)
+        self.supervisor = supervisor_of(
+            options, self, [*self.bridges, *self.uavs], self.stop, self.said.append
+        )
 
     def call(self, leg, _patience_s):
         self.calls.append(leg)
@@ -310,6 +315,17 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
         f"{fleet.answer}: every bridge is told to land by itself",
         "bridge1: silent",
     ]
+
+
+@pytest.mark.ros
+def test_a_start_that_is_refused_before_the_uavs_exist_waits_for_no_leader(monkeypatch, tmp_path):
+    """It waited for 3 s until the service /formation/land of nobody was there."""
+    fleet, told = Fleet(monkeypatch, tmp_path, "bridge1"), []
+    monkeypatch.setattr(flights, "order_landing", lambda *of: told.append(of) or [])
+    fleet.supervisor._crew.children.remove(fleet.uavs[0])
+    fleet.end_at(0.2, fleet.bridges[0])
+    fleet.supervisor._land()
+    assert (fleet.calls, len(told), fleet.said) == ([], 1, [])
 
 
 @pytest.mark.ros
@@ -451,6 +467,8 @@ def test_faults_of_one_cause_are_one_line_at_the_end(monkeypatch, tmp_path):
         bridge.exit_code = 1
     fleet.supervisor._report_exits()
     assert fleet.said == ["bridge4 has ended with 1"]
+    for uav in fleet.uavs:
+        uav.exit_code = 0
     fleet.supervisor.end()
     assert fleet.said[1:] == [
         f"not as planned: bridge1, bridge2 (2): {faults[0]}; logs in logs",
