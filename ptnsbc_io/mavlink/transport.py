@@ -1,9 +1,10 @@
-"""Transports of MAVLink bytes: UDP in, UDP out, or a serial port. None of them blocks."""
+"""Transports of MAVLink bytes: UDP in, UDP out, TCP, or a serial port. None of them blocks."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import time
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -16,9 +17,11 @@ _CHUNK = 4096
 _BAUD = 921600
 _BUFFER = 1 << 20
 _EXPECTED = (
-    "expected udpin:ADDRESS:PORT (listen there), udpout:ADDRESS:PORT (send there) or "
-    "serial:DEVICE[:BAUD]"
+    "expected udpin:ADDRESS:PORT (listen there), udpout:ADDRESS:PORT (send there), "
+    "tcp:ADDRESS:PORT (a server there) or serial:DEVICE[:BAUD]"
 )
+_AGAIN_S = 1.0  # a server that is not there is called again
+_UNANSWERED_MS = 3000  # then a connection has ended
 
 
 class ConnectError(PtnsbcError):
@@ -97,6 +100,54 @@ class _UdpSocket(Transport):
             return False
 
 
+class _TcpClient(Transport):
+    """A connection to a server, which is called again when it is not there or has gone."""
+
+    stream = True
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)
+        except OSError as error:
+            raise ConnectError(
+                f"tcp:{host}:{port}: {error.strerror}: expected an address that can be reached"
+            ) from None
+        self._server = found[0][4]
+        super().__init__(None)
+        self._open(socket.SOCK_STREAM)
+
+    def _open(self, kind: socket.SocketKind) -> None:
+        """Call the server by a stream; a datagram socket wakes nobody until it is time to call again."""
+        if self._port is not None:
+            self.close()
+        self._port, self._since_s = socket.socket(socket.AF_INET, kind), time.monotonic()
+        self._port.setblocking(False)
+        if kind is socket.SOCK_STREAM:
+            self._port.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._port.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
+            self._port.connect_ex(self._server)
+
+    def receive(self) -> Packet | None:
+        lost = self._port.type is socket.SOCK_DGRAM
+        if lost and time.monotonic() - self._since_s > _AGAIN_S:
+            self._open(socket.SOCK_STREAM)
+        try:
+            data = self._port.recv(_CHUNK)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data = b""
+        if not data:
+            self._open(socket.SOCK_DGRAM)
+        return Packet(data, None) if data else None
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        try:
+            return bool(self._port.send(data) == len(data))
+        except OSError:
+            return False
+
+
 class _Serial(Transport):
     """A serial line, raw, without flow control."""
 
@@ -127,7 +178,7 @@ class _Serial(Transport):
 
 
 def connect(text: str) -> Transport:
-    """Open `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580` or `serial:/dev/ttyACM0:921600`."""
+    """Open `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580`, `tcp:10.0.0.2:5760`, `serial:/dev/ttyACM0:921600`."""
     kind, _, where = text.partition(":")
     if kind == "serial" and where:
         device, _, baud = where.partition(":")
@@ -135,8 +186,10 @@ def connect(text: str) -> Transport:
             raise ConnectError(f"{text}: baud rate {baud!r}: {_EXPECTED}")
         return _Serial(device, int(baud or _BAUD))
     host, _, port = where.rpartition(":")
-    if kind not in ("udpin", "udpout") or not host or not port.isdecimal():
+    if kind not in ("udpin", "udpout", "tcp") or not host or not port.isdecimal():
         raise ConnectError(f"{text}: {_EXPECTED}")
     if not 0 < int(port) < 65536:
         raise ConnectError(f"{text}: port {port}: expected 1 to 65535")
+    if kind == "tcp":
+        return _TcpClient(host, int(port))
     return _UdpSocket(host, int(port), listens=kind == "udpin")

@@ -97,7 +97,7 @@ class MavlinkVehicle(Block):
     """Settings of one vehicle."""
 
     connect: str | None = None
-    """`udpin:ADDRESS:PORT`, `udpout:ADDRESS:PORT`, `serial:DEVICE[:BAUD]`; unique.
+    """`udpin:ADDRESS:PORT`, `udpout:ADDRESS:PORT`, `tcp:ADDRESS:PORT`, `serial:DEVICE[:BAUD]`; unique.
     Default: `udpin:127.0.0.1:14540`, 14541, …"""
     sysid: UavId | None = None
     """MAVLink system id, unique. Default: 1, 2, … in the order of `uavs`."""

@@ -128,7 +128,7 @@ def estimator_step(file: ScenarioFile, topology: Topology) -> float:
     return float(rate * topology.lambda_max / file.timing.control_hz)
 
 
-_CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
+_CONNECT = re.compile(r"(udpin|udpout|tcp):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
 
 
 def _is_port(connect: str) -> bool:
@@ -322,7 +322,7 @@ def _plant(file: ScenarioFile) -> Problems:
 
 def _mavlink(file: ScenarioFile) -> Problems:
     block, fence, ids = file.mavlink, file.mavlink.geofence, file.uav_ids
-    connections = "udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"
+    connections = "udpin:ADDRESS:PORT, udpout:…, tcp:… or serial:DEVICE[:BAUD]"
     for uav, vehicle in block.vehicles.items():
         where, connect = f"mavlink.vehicles.{uav}", vehicle.connect
         yield from unless(uav in ids, where, "no such UAV", one_of(ids))

@@ -43,7 +43,7 @@ class Vehicle:
         str | None,
         option(
             "--connect LINK",
-            "udpin:HOST:PORT, udpout:HOST:PORT or serial:DEVICE[:BAUD]. Default: as in the scenario.",
+            "udpin:, udpout: or tcp:HOST:PORT, or serial:DEVICE[:BAUD]. Default: as in the scenario.",
         ),
     ] = None
     signing_key: Annotated[

@@ -3,6 +3,7 @@
 import os
 import pty
 import random
+import socket
 import tracemalloc
 import tty
 
@@ -13,6 +14,7 @@ pytest.importorskip("pymavlink")
 import mavlink_wires as wires
 from mavlink_wires import Far, arrived, heartbeat, settled
 
+from ptnsbc_io.mavlink import transport
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import BrokenFrame, Framer, MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
@@ -203,6 +205,34 @@ def test_udpout_speaks_first(make):
     far.close()
 
 
+def serve(port=0):
+    server = socket.create_server(("127.0.0.1", port))
+    server.settimeout(5.0)
+    return server
+
+
+def test_a_tcp_link_comes_back_with_its_server(monkeypatch):
+    """A router that starts after the bridge, or again in flight."""
+    monkeypatch.setattr(transport, "_AGAIN_S", 0.0)
+    port, codec = free_port(), wires.codec()
+    link = MavlinkLink(connect(f"tcp:127.0.0.1:{port}"), 1, WANTED)
+    for mode in (3, 4):
+        assert settled(link) == []
+        assert not link.send(heartbeat())
+        with serve(port) as server:
+            assert not list(link.poll(0.0))  # it calls
+            with server.accept()[0] as vehicle:
+                stream = b"\xfd\x40" + heartbeat(custom_mode=mode).pack(codec)
+                for at in range(0, len(stream), 7):
+                    vehicle.sendall(stream[at : at + 7])
+                vehicle.sendall(b"\x00" * 90)
+                assert [m.custom_mode for m in arrived(link, 1)] == [mode]
+                assert link.send(heartbeat(custom_mode=5))
+                assert next(Framer(stream=True).feed(vehicle.recv(1000))).message_id == 0
+        assert settled(link) == []  # it has ended
+    link.close()
+
+
 def test_a_serial_line_brings_frames_in_pieces():
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -228,7 +258,8 @@ def test_a_serial_line_brings_frames_in_pieces():
         "",
         "udpin:",
         "udpin:14540",
-        "tcp:127.0.0.1:5760",
+        "tcp:5760",
+        "tcp:nowhere.invalid:5760",
         "udpout:127.0.0.1:0",
         "udpin:127.0.0.1:x",
         "serial:",

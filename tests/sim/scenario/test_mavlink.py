@@ -52,7 +52,7 @@ def test_own_entries_win():
             r"mavlink.vehicles.2.signing_key: k: duplicate",
         ),
         ({"vehicles": {9: {}}}, r"mavlink.vehicles.9: no such UAV: expected one of .* 1, 2, 3"),
-        ({"vehicles": {1: {"connect": "tcp:1.2.3.4:5"}}}, r"connect: .*expected udpin:ADDRESS"),
+        ({"vehicles": {1: {"connect": "tls:1.2.3.4:5"}}}, r"connect: .*expected udpin:ADDRESS"),
         ({"rate_hz": 10}, r"mavlink.rate_hz: 10: expected >= 20"),
         ({"rate_hz": 200}, r"mavlink.rate_hz: 200: expected <= 100"),
         ({"setpoint": "speed"}, r"mavlink.setpoint: .speed.: "),
