@@ -51,8 +51,11 @@ docs: setup  ## Make the parts of the pages that are made of the code
 site: setup-site  ## Build all pages as a site, searched without a network: build/site
 	@$(BIN)/python -m docs.make.site $(ARGS)
 
-results: setup  ## Fly the paper again: docs/results.md, tables.md, envelope.md and their pictures
+results: setup  ## Fly the paper again: docs/results.md, tables.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
+
+families: setup  ## Draw and search every shipped family: docs/shares.md. Hours, and goes on where it ended
+	@time $(BIN)/python -m paper.families $(ARGS) && $(BIN)/python -m docs.make
 
 commands: setup-test-messages  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)

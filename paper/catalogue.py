@@ -41,7 +41,6 @@ EXPERIMENTS = (
     Experiment("estimator", "paper_5_free", 4),
     Experiment("ablations", "paper_5, paper_20, by sweeps", 100),
     Experiment("time_base", "paper_5_free, by sweeps", 80),
-    Experiment("envelope", "a family of scenarios, by sweeps", 90),
     Experiment("cost", "trees of 5 to 50 UAVs", 5, alone=True),
 )
 

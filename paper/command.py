@@ -38,7 +38,7 @@ def reproduce(
         typer.Option(
             "--docs",
             metavar="DIR",
-            help="Write DIR/results.md, DIR/tables.md, DIR/envelope.md and their pictures too.",
+            help="Write DIR/results.md, DIR/tables.md and their pictures too.",
         ),
     ] = None,
     settings: SetOption = None,
@@ -47,7 +47,7 @@ def reproduce(
     """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
 
     Writes figures (PNG, SVG), every curve in them (CSV), the table of every sweep (Parquet),
-    results.md, tables.md, envelope.md and results.json. The same
+    results.md, tables.md and results.json. The same
     command gives the same bytes, except for what is measured by the clock: timing.json and the
     part `cost` of tables.md.
     """

@@ -70,7 +70,6 @@ class ExperimentResult:
     tables: tuple[Table, ...] = ()
     claims: tuple[Claim, ...] = ()
     timed: bool = False  # contains measured times: two runs differ
-    page: str = "results"  # which page shows it
 
     def as_json(self) -> dict[str, Any]:
         """Plain types; numbers are rounded, and a number that does not exist is null."""

@@ -1,4 +1,4 @@
-"""The files of a run: results.md (claims), tables.md, envelope.md, results.json, timing.json; pages in `--docs`."""
+"""The files of a run: results.md (claims), tables.md, results.json, timing.json; pages in `--docs`."""
 
 from __future__ import annotations
 
@@ -47,10 +47,6 @@ PAGES = {
         "Tables and figures",
         "The experiments behind the claims in [results.md](results.md).",
     ),
-    "envelope": (
-        "How far it goes",
-        "Where formation control by this code succeeds, and where it fails.",
-    ),
 }
 
 
@@ -70,10 +66,10 @@ class Origin:
         for name in SCENARIOS:
             by_seed.setdefault(scenario(name).seed, []).append(f"`{name}`")
         seeds = (f"seed {seed} in {', '.join(names)}" for seed, names in by_seed.items())
-        return cls(command, _commit(), _digest(), "; ".join(seeds))
+        return cls(command, commit(), _digest(), "; ".join(seeds))
 
 
-def _commit() -> str:
+def commit() -> str:
     """Commit of the checkout, with `+` when its code was changed since; `unknown` without one."""
     found = _git("rev-parse", f"--short={_SHORT}", "HEAD")
     if not found:
@@ -104,7 +100,7 @@ def _digest() -> str:
 def pages(
     origin: Origin, parts: Sequence[ExperimentResult], *, images: str, all_figures: bool
 ) -> dict[str, str]:
-    """The text of each page by its name in PAGES; without one of which there is no part.
+    """The text of each page by its name in PAGES.
 
     Args:
         origin: for the heads.
@@ -112,19 +108,11 @@ def pages(
         images: folder of the figures, relative to the pages.
         all_figures: show every figure, and not only the telling ones.
     """
-    paper = [part for part in parts if part.page == "results"]
-    sections = {
-        "results": [_claims(paper)] if paper else [],
-        "tables": [_section(part, images, all_figures) for part in paper],
-        "envelope": [
-            _section(part, images, all_figures) for part in parts if part.page == "envelope"
-        ],
+    blocks = {
+        "results": [_claims(parts)],
+        "tables": [_section(part, images, all_figures) for part in parts],
     }
-    return {
-        page: "\n".join([_head(origin, page), *blocks])
-        for page, blocks in sections.items()
-        if blocks
-    }
+    return {page: "\n".join([_head(origin, page), *of]) for page, of in blocks.items()}
 
 
 def _head(origin: Origin, page: str) -> str:

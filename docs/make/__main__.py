@@ -20,6 +20,7 @@ PAGES = {
     "cli.md": "docs.make.cli",
     "architecture.md": "docs.make.architecture",
     "faults.md": "docs.make.faults",
+    "shares.md": "docs.make.shares",
     "tutorial.md": "docs.make.tutorial",
 }
 

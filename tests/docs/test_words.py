@@ -11,7 +11,7 @@ LARGEST_SUM = 45_000
 LARGEST_PAGE = 2000
 
 # Nobody reads these from top to bottom: they are made from the code, or of the numbers of flights.
-REFERENCES = ("docs/cli.md", "docs/scenarios.md", "docs/tables.md", "docs/envelope.md")
+REFERENCES = ("docs/cli.md", "docs/scenarios.md", "docs/tables.md")
 # Look-up tables by hand, which count, but not as a page that is read.
 LOOKED_UP = ("docs/equations.md", "docs/autopilot.md")
 

@@ -1,21 +1,18 @@
 """Sweeps of the experiments: every case is a scenario, and a table has both largest errors."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from paper import swept
-from paper.experiments import ablations, envelope, experiment, promise, time_base
+from paper.experiments import ablations, experiment, promise, time_base
 from paper.flights import PLANTS, scenario
 from paper.output import ExperimentFolder
 from paper.swept import SweepCase, swept_table
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep.draws import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
-from ptnsbc_tools.sweeps.summary import share
 
-ENVELOPE = [envelope.case(axis, value) for axis in envelope.AXES for value in axis.values]
 ABLATIONS = [
     *ablations._laws(), *ablations._rules(), *ablations._starts(), *time_base._time_bases(), *time_base._loops(),
     *ablations._adaptations(),
@@ -30,7 +27,7 @@ PROMISE = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cases", [PROMISE, ABLATIONS, CAUSES, ENVELOPE])
+@pytest.mark.parametrize("cases", [PROMISE, ABLATIONS, CAUSES])
 def test_every_case_can_be_drawn(cases: list[SweepCase]) -> None:
     for case in cases:
         base = scenario(case.scenario, case.changes)
@@ -39,12 +36,11 @@ def test_every_case_can_be_drawn(cases: list[SweepCase]) -> None:
 
 def test_every_table_has_two_hundred_flights() -> None:
     assert all(case.runs >= 200 for case in (*PROMISE, *ABLATIONS, *CAUSES))
-    assert all(len(axis.values) * envelope.RUNS >= 200 for axis in envelope.AXES)
 
 
 def test_a_table_has_its_interval_and_both_largest_errors(tmp_path: Path) -> None:
     output = ExperimentFolder(tmp_path, lambda line: None)
-    case = replace(ENVELOPE[0], runs=3, stop_after_s=0.5)
+    case = SweepCase(("0.1",), starts="near:0.1", runs=3, stop_after_s=0.5)
     table = swept_table(output, "try", "A try", ("sigma",), [case], "Meaning.")
     heads = [column.title for column in table.columns]
     at = heads.index("largest after tf, 95 %, m")
@@ -58,11 +54,3 @@ def test_the_approach_is_the_paper_s_where_nothing_is_said() -> None:
     assert scenario("paper_5").formation.approach == "task"
     own = load_scenario("paper_5").formation.approach
     assert scenario("paper_5", swept.DEFAULT_APPROACH).formation.approach == own == "planned"
-
-
-def test_where_the_envelope_ends_is_said() -> None:
-    shares = {1.0: share(40, 40), 2.0: share(37, 40), 4.0: share(12, 40)}
-    assert envelope.reach(shares) == ("nine of ten flights are met at 1, 2; fewer than half at 4.")
-    assert envelope.reach({1.0: share(30, 40)}) == (
-        "at no value nine of ten flights are met; fewer than half at none."
-    )

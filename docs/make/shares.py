@@ -1,0 +1,59 @@
+"""The table of `docs/shares.md`, of the figures that `python -m paper.families` has written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from docs.make.markdown import table
+
+DATA = Path(__file__).resolve().parents[1] / "families"
+FAMILIES = (
+    "near", "near_20", "chain", "slots", "anywhere", "swap", "swap_12", "ring",
+    "delay", "wind", "clutter", "clutter_fast", "mass",
+)  # fmt: skip
+"""In the order of the page."""
+_HEADINGS = (
+    "FAMILY", "accepted", "met", "in place", "searched", "refused of them",
+    "keep-out", "deadline", "way back", "probability of a broken keep-out",
+)  # fmt: skip
+_OPEN = "not flown"
+
+
+def regions() -> dict[str, str]:
+    """Every made region of the page."""
+    return {"families": table(_HEADINGS, map(_row, filter(_has_flown, FAMILIES)))}
+
+
+def _has_flown(family: str) -> bool:
+    return (DATA / f"{family}.json").exists()
+
+
+def _row(family: str) -> list[str]:
+    parts = json.loads((DATA / f"{family}.json").read_text(encoding="utf-8"))
+    return [f"`{family}`", *_swept(parts), *_searched(parts), _probability(parts)]
+
+
+def _swept(parts: dict[str, Any]) -> list[str]:
+    if "sweep" not in parts:
+        return [_OPEN] * 3
+    shares = (parts["sweep"][name] for name in ("accepted", "met", "in_place"))
+    return [f"{one['count']} of {one['of']}" for one in shares]
+
+
+def _searched(parts: dict[str, Any]) -> list[str]:
+    if "search" not in parts:
+        return [_OPEN] * 5
+    found = parts["search"]
+    left = ["none made" if one is None else f"{100 * one:.1f} %" for one in found["worst"].values()]
+    return [str(found["flights"]), str(found["refused"]), *left]
+
+
+def _probability(parts: dict[str, Any]) -> str:
+    if "rare" not in parts:
+        return _OPEN
+    found = parts["rare"]
+    if found["probability"] == 0.0:
+        return f"at most {found['high']:.2g}"
+    return f"{found['probability']:.2g} ({found['low']:.2g} to {found['high']:.2g})"

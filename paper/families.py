@@ -1,0 +1,112 @@
+"""`python -m paper.families`: fly the shipped families for the page that says how often they hold.
+
+Each family is drawn at random, searched for its worst flights, and searched for the probability of a broken keep-out.
+A folder for each keeps what was flown, so that the same command goes on. `docs/families/NAME.json` has the figures,
+which `python -m docs.make` puts into `docs/shares.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from docs.make.shares import DATA, FAMILIES
+from paper.experiment_result import rounded
+from paper.report import commit
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_io.files import replacing
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.sweep.dry_run import ACCEPTED
+from ptnsbc_sim.sweep.rows import MARGINS
+from ptnsbc_sim.sweep.runner import run
+from ptnsbc_sim.sweep.search import NO_MARGIN, Found, search
+from ptnsbc_tools import console
+from ptnsbc_tools.library.sweeping import plan
+from ptnsbc_tools.sweeps.summary import FlownSweep, read_sweep, share_of
+
+SEED, CHECK = 4801, 20
+RUNS, FLIGHTS, LEAST = 500, 20_000, 1e-4
+PARTS = ("search", "rare", "sweep")
+
+
+def searched(found: Found) -> dict[str, Any]:
+    """The flights of a search, how many were refused, and the least margin of each promise among the others."""
+    refused = (found.margins == NO_MARGIN).all(axis=1)
+    worst = dict(zip(MARGINS, _least(found.margins[~refused]), strict=True))
+    return {"flights": len(refused), "refused": int(refused.sum()), "worst": worst}
+
+
+def _least(margins: Array) -> list[float | None]:
+    """Of each promise (P,); None of one that no flight makes."""
+    least = margins.min(axis=0, initial=NO_MARGIN)
+    return [None if one == NO_MARGIN else float(one) for one in least]
+
+
+def swept(sweep: FlownSweep) -> dict[str, Any]:
+    """The shares of a sweep: accepted, and of these met, in place, and inside a keep-out; of all, met."""
+    flights = sweep.table.flights
+    accepted = flights.check == ACCEPTED
+    shares = {
+        "accepted": share_of(accepted),
+        "met": share_of(flights.met[accepted]),
+        "in_place": share_of(flights.in_place[accepted]),
+        "met_of_refused": share_of(flights.met[~accepted]),
+    }
+    return {name: one.as_json() for name, one in shares.items()}
+
+
+def fly(family: str, part: str, folder: Path, flights: int, workers: int) -> dict[str, Any]:
+    """The figures of a part of a family, flown into a folder of its own, or read from there."""
+    runs = flights if part == "search" else RUNS
+    draws = plan(load_scenario("paper_5_free"), runs, family=family, seed=SEED, check=CHECK)
+    place = folder / family / part
+    with console.progress(f"{family}, {part}") as progress:
+        if part == "sweep":
+            run(draws, place, workers=workers, progress=progress)
+            return swept(read_sweep(place))
+        if part == "search":
+            return searched(search(draws, place, workers=workers, progress=progress))
+        promise = MARGINS[0]
+        found = search(
+            draws, place, least=LEAST, promise=promise, workers=workers, progress=progress
+        )
+        return {} if found.rare is None else found.rare._asdict()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 2 when a family cannot be flown."""
+    parser = argparse.ArgumentParser(prog="python -m paper.families", description=__doc__)
+    parser.add_argument("families", nargs="*", help=f"default: {' '.join(FAMILIES)}")
+    parser.add_argument("--output", "-o", type=Path, default=Path("out/families"), metavar="DIR")
+    parser.add_argument("--flights", type=int, default=FLIGHTS, help="of each search")
+    parser.add_argument("--part", choices=PARTS, action="append", help="this part alone")
+    parser.add_argument("--workers", "-j", type=int, default=2)
+    given = parser.parse_args(arguments)
+    try:
+        for family in given.families or FAMILIES:
+            for part in given.part or PARTS:
+                found = fly(family, part, given.output, given.flights, given.workers)
+                _keep(family, {part: {**found, "seed": SEED, "commit": commit()}})
+    except PtnsbcError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _keep(family: str, figures: dict[str, Any]) -> None:
+    """Replace the figures of these parts of a family."""
+    path = DATA / f"{family}.json"
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    DATA.mkdir(exist_ok=True)
+    with replacing(path) as part:
+        text = json.dumps(rounded(before | figures), indent=1, allow_nan=False)
+        part.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
