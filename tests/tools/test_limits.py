@@ -93,7 +93,7 @@ def test_the_library_refuses_numbers_that_mean_nothing() -> None:
 
 WITHOUT_MEMORY = (
     r"timing\.duration_s: 1e\+06 s of 5 UAVs at 100 Hz take 240 GB of memory: expected at most "
-    r"16(\.0)? GB, which are free: shorten timing\.duration_s \(--duration\) to at most 66666 s, "
+    r"16(\.0)? GB, which are free: shorten timing\.duration_s to at most 66666 s, "
     r"or lower timing\.control_hz"
 )
 
