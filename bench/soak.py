@@ -90,7 +90,7 @@ def soak(
         "duration_s": duration_s,
         "mode": f"{hz} Hz in {'lock-step' if lockstep else 'real time'}",
         "seed": seed,
-        "faults": len(scenario.faults or ()),
+        "faults": len(scenario.faults),
         "wall_s": round(flown.flight_s, 1),
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,

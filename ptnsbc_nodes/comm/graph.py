@@ -95,7 +95,7 @@ class CommunicationGraph:
                 for kind in (STATE_LINK, ESTIMATE_LINK)
                 for i in others
             },
-            faults=scenario.faults or (),
+            faults=scenario.faults,
         )
 
     def of(self, scenario: Scenario) -> CommunicationGraph:

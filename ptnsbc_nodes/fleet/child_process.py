@@ -220,7 +220,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
-        for fault in options.scenario.faults or ():
+        for fault in options.scenario.faults:
             if fault.kind == "restart" and fault.struck_uav is not None:
                 window = map(str, fault.window_ns(0))
                 arguments += ["--silent", str(fault.struck_uav), *window]

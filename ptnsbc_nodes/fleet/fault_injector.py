@@ -41,7 +41,7 @@ class FaultInjector:
     def begin(self, t0_s: float) -> None:
         """The mission begins at this time of the steady clock."""
         if not self._options.lockstep:
-            faults = self._options.scenario.faults or ()
+            faults = self._options.scenario.faults
             self._due += [(t0_s + one.at_s, one) for one in faults if one.rule.strikes in _OURS]
 
     def look(self, children: Sequence[ChildProcess]) -> None:

@@ -169,7 +169,7 @@ def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, 
 
     They are its own process and its bridge, which lands the vehicle of a UAV that stays away.
     """
-    victims = {one.victim for one in (scenario.faults or ()) if one.kind in ("kill", "restart")}
+    victims = {one.victim for one in scenario.faults if one.kind in ("kill", "restart")}
     struck = (one for one in ended if one.command.uavs)
     return tuple(
         one.name
@@ -253,6 +253,6 @@ def _objections_to_processes(options: FleetOptions) -> Iterator[str]:
         other = "--only" if options.shared else "--backend mavlink"
         yield f"{named}: each UAV has a process of its own with {other}: {without}"
     shared = {uav for group in groups(options) if len(group) > 1 for uav in group}
-    for fault in options.scenario.faults or ():
+    for fault in options.scenario.faults:
         if fault.rule.strikes == PROCESS and fault.struck_uav in shared:
             yield f"{named}: {fault.text}: it would strike the other UAVs of the process as well: {without}"

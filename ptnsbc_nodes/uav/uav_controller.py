@@ -308,7 +308,7 @@ class UavFaults:
 
     def __init__(self, scenario: Scenario, uav_id: int, *, lockstep: bool = False) -> None:
         self._lockstep = lockstep
-        self._own = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
+        self._own = [fault for fault in scenario.faults if fault.struck_uav == uav_id]
         self._spans: list[tuple[FaultBlock, int, int]] = []  # [ns], once the first epoch is known
 
     def begin(self, t0_ns: int) -> None:

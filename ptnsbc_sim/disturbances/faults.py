@@ -57,7 +57,7 @@ def message_fault(fault: FaultBlock, number: int, t0_ns: int) -> MessageFault | 
 
 def message_faults(scenario: Scenario, t0_ns: int = 0) -> tuple[MessageFault, ...]:
     """The faults of messages of a scenario whose first epoch is `t0_ns`."""
-    found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults or ()))
+    found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults))
     return tuple(one for one in found if one is not None)
 
 
@@ -71,7 +71,7 @@ def without_position(values: Array) -> Array:
 def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_]:
     """True if the process of each UAV is dead at each tick (T, N), by faults of these kinds."""
     found = np.zeros((scenario.timing.ticks, len(scenario.uav_ids)), dtype=np.bool_)
-    for fault in scenario.faults or ():
+    for fault in scenario.faults:
         if fault.kind in kinds and fault.struck_uav is not None:
             row = scenario.uav_ids.index(fault.struck_uav)
             first, end = (-(-time_ns // scenario.timing.dt_ns) for time_ns in fault.window_ns(0))
@@ -82,7 +82,7 @@ def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_
 def jumps_of(scenario: Scenario) -> Array:
     """The jumps of measured positions (J, 6): row of the UAV, first tick, tick after the last, offset [m] ENU."""
     rows = []
-    for fault in scenario.faults or ():
+    for fault in scenario.faults:
         if fault.kind == "jump" and fault.struck_uav is not None and fault.offset_m is not None:
             start_ns, end_ns = fault.window_ns(0)
             last_ns = min(end_ns, NEVER_NS)

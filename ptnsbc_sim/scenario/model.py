@@ -419,8 +419,8 @@ class ScenarioFile(Block):
     """Seed of all random numbers, see [below](#chance)."""
     security: Literal["none", "signed"] = "none"
     """`signed`: processes take only messages that carry the seal of the fleet, see [security.md](security.md)."""
-    faults: Annotated[tuple[FaultBlock, ...], Field(max_length=200)] | None = None
-    """Faults that are injected, see [faults.md](faults.md#injection). Default: none."""
+    faults: Annotated[tuple[FaultBlock, ...], Field(max_length=200)] = ()
+    """Faults that are injected, see [faults.md](faults.md#injection)."""
     timing: Timing
     world: Surroundings = Surroundings()
     sensor: Sensor
@@ -523,7 +523,7 @@ class ScenarioFile(Block):
     @property
     def lossy(self) -> bool:
         """True if messages between UAVs get lost or come late."""
-        struck = any(fault.rule.strikes == MESSAGES for fault in self.faults or ())
+        struck = any(fault.rule.strikes == MESSAGES for fault in self.faults)
         return struck or self.communication.lossy
 
     @property

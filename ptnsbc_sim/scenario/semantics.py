@@ -375,7 +375,7 @@ def _membership(file: ScenarioFile) -> Problems:
 
 
 def _faults(file: ScenarioFile) -> Problems:
-    for index, fault in enumerate(file.faults or ()):
+    for index, fault in enumerate(file.faults):
         for problem in fault_problems(fault, file.uav_ids):
             yield problem.below(f"faults[{index}]")
 

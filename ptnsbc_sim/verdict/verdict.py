@@ -292,7 +292,7 @@ def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
         latency_ms=dict(recording.latency),
         legs=tuple(legs),
         mission=_mission_legs(recording, legs, [p for part in parts for p in part], tolerance),
-        faults=(*(fault.text for fault in (scenario.faults or ())), *recording.left_out),
+        faults=(*(fault.text for fault in scenario.faults), *recording.left_out),
     )
 
 

@@ -223,7 +223,7 @@ def _idle_successors(scenario: Scenario, at_s: float, absent: set[int], away: se
 def faults(scenario: Scenario) -> Findings:
     """Faults that begin after the flight, and those that not every flight injects."""
     end_s = scenario.timing.duration_s
-    for index, fault in enumerate(scenario.faults or ()):
+    for index, fault in enumerate(scenario.faults):
         key = f"faults[{index}]"
         if fault.at_s >= end_s:
             limit = f"< timing.duration_s, {end_s:g} s"

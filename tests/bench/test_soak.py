@@ -14,6 +14,6 @@ def test_a_seed_draws_faults_that_the_scenario_takes(lockstep):
     first, again, other = (drawn(base, 40, seed, lockstep=lockstep) for seed in (1, 1, 2))
     assert first == again != other
     scenario = base.with_({"faults": first})
-    assert len(scenario.faults or ()) == 40
-    assert scenario.leader.id not in {fault.struck_uav for fault in (scenario.faults or ())}
-    assert all(fault.rule.lockstep for fault in (scenario.faults or ())) == lockstep
+    assert len(scenario.faults) == 40
+    assert scenario.leader.id not in {fault.struck_uav for fault in scenario.faults}
+    assert all(fault.rule.lockstep for fault in scenario.faults) == lockstep

@@ -148,11 +148,11 @@ class FaultBlock(Block):
         return start_ns, start_ns + nanoseconds(self.duration_s)
 
 
-def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
+def modelled(faults: Sequence[FaultBlock]) -> tuple[FaultBlock, ...]:
     """The faults that a headless flight injects."""
     return tuple(
         fault
-        for fault in faults or ()
+        for fault in faults
         if fault.rule.headless and (fault.rule.strikes != PROCESS or fault.victim.startswith("uav"))
     )
 
