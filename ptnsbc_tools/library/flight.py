@@ -206,19 +206,6 @@ class Flight(FlightArrays):
         frame.attrs = {"units": units, "scenario": self.scenario.name}
         return frame
 
-    def to_xarray(self) -> Any:
-        """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes."""
-        xarray = ros.library("xarray", "to_xarray()")
-        arrays = {
-            one.name: (one.axes, self[one.name], {"units": one.unit, "long_name": one.meaning})
-            for one in QUANTITIES[1:]
-        }
-        time = (TIME, self.time_s, {"units": "s", "long_name": QUANTITIES[0].meaning})
-        places = {TIME: time, UAV: list(self.uavs)}
-        labels = {axis: list(words) for axis, words in COORDINATES.items()}
-        attributes = {"scenario": self.scenario.name, "verdict": self._word()}
-        return xarray.Dataset(arrays, {**places, **labels}, attributes)
-
     @cached_property
     def view(self) -> FlightView:
         """The flight as the figures of `ptnsbc plot` and `ptnsbc report` show it."""
@@ -227,15 +214,13 @@ class Flight(FlightArrays):
             flown = self.headless  # at every tick what the UAVs would have published
             columns = {"gain": GAIN, "sigma_min": SINGULAR_VALUE}
             values = flown.track.diagnostics
-            status = StatusSeries(
-                {
-                    uav: {
-                        key: Track(flown.t_ns, values[:, row, column : column + 1])
-                        for key, column in columns.items()
-                    }
+            status = {
+                key: {
+                    uav: Track(flown.t_ns, values[:, row, column : column + 1])
                     for row, uav in enumerate(self.uavs)
                 }
-            )
+                for key, column in columns.items()
+            }
         elif self.status is None and self.bag is not None:
             status = read_status(self.bag)
         return view_of(self.recording, status, self.tolerance_m, self.bag)

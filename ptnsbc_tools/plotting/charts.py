@@ -302,7 +302,7 @@ def _only(rows: Array) -> Array:
 
 def _curves_of(
     flight: FlightView,
-    tracks: Mapping[int, Track | None],
+    tracks: Mapping[int, Track],
     size: Callable[[Array], Array] = _only,
 ) -> list[Curve]:
     """The curves of the UAVs that have samples in the time shown."""
@@ -535,27 +535,23 @@ def estimator(flight: FlightView) -> Chart | None:
     )
 
 
-def _of_planners(flight: FlightView, key: str) -> list[Curve]:
-    return _curves_of(flight, {uav: of.get(key) for uav, of in flight.status.planner.items()})
-
-
 def gain(flight: FlightView) -> Chart | None:
     """Gain of the formation loop: the time base until the deadline, kappa after it."""
     deadline = flight.scenario.gains.formation.deadline_s
     marks = (Mark(deadline, f"deadline {deadline:g} s"),)
-    curves = _of_planners(flight, "gain")
+    curves = _curves_of(flight, flight.status.get("gain", {}))
     return _chart("gain", "Gain of the formation loop", "1/s", curves, marks=marks)
 
 
 def conditioning(flight: FlightView) -> Chart | None:
     """Smallest singular value of each task; near zero the task has no solution."""
-    curves = _of_planners(flight, "sigma_min")
+    curves = _curves_of(flight, flight.status.get("sigma_min", {}))
     return _chart("conditioning", "Smallest singular value of the task", "", curves)
 
 
 def missed(flight: FlightView) -> Chart | None:
     """Ticks missed since the epoch."""
-    told = _of_planners(flight, "missed_ticks")
+    told = _curves_of(flight, flight.status.get("missed_ticks", {}))
     curves = [replace(curve, values=curve.values - curve.values[0]) for curve in told]
     some = any(curve.values.any() for curve in curves)
     return _chart("missed", "Missed ticks", "", curves) if some else None
@@ -565,7 +561,7 @@ def latency(flight: FlightView) -> Chart | None:
     """Age of the wrenches when they reach the simulator."""
     curves = []
     for number, name in enumerate(("p50", "p99", "max")):
-        points = _samples(flight, flight.status.sim.get(f"latency_{name}_ms"), _only)
+        points = _samples(flight, flight.status.get(f"latency_{name}_ms", {}).get(0), _only)
         if points is not None and points.values.any():
             curves.append(Curve(name, look(number), *points, ()))
     period = 1e3 / flight.scenario.timing.control_hz
@@ -576,7 +572,7 @@ def latency(flight: FlightView) -> Chart | None:
 
 def age(flight: FlightView) -> Chart | None:
     """Age of the oldest message of a neighbour that went into each step."""
-    curves = _curves_of(flight, flight.status.age_ms)
+    curves = _curves_of(flight, flight.status.get("age_ms", {}))
     stale = 1e3 * flight.scenario.communication.stale_s
     limits = (Limit(stale, f"stale, {stale:g} ms"),)
     note = "The oldest that went into each step, by the clocks of sender and receiver."

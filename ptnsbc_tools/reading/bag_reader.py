@@ -6,7 +6,6 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +47,7 @@ _STATES: Mapping[str, Decoder] = {topics.odom(1).type: lambda data, _: decode_od
 _WRENCHES: Mapping[str, Decoder] = {
     topics.wrench_setpoint(1).type: lambda data, _: decode_wrench(data)
 }
-_SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
+_SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms")
 
 
 def scenario_of(bag: Bag, given: Path | None) -> Scenario:
@@ -101,23 +100,15 @@ class DiagnosticCounters:
                 self.latency = figures if any(figures.values()) else {}
 
 
-@dataclass(frozen=True)
-class StatusSeries:
-    """Values that the nodes published over time; a key without values is missing."""
-
-    planner: Mapping[int, Mapping[str, Track]] = field(default_factory=dict)  # by UAV, by key
-    sim: Mapping[str, Track] = field(default_factory=dict)  # by key
-    age_ms: Mapping[int, Track] = field(default_factory=dict)  # (T, 1) by UAV
+StatusSeries = dict[str, dict[int, Track]]
+"""Values (T, 1) that the nodes published over time, by key and by UAV; 0 is the sim. `age_ms` is of the steps."""
 
 
 class StatusCollector:
-    """Collects the values of the nodes by node and key, for figures."""
+    """Collects the values of the nodes for figures."""
 
     def __init__(self) -> None:
-        file = SampleFile()
-        self._planners = TrackWriters[tuple[int, str]](file)
-        self._sim = TrackWriters[str](file)
-        self._ages = TrackWriters[int](file)
+        self._values = TrackWriters[tuple[str, int]](SampleFile())
 
     def add_diagnostics(self, array: Diagnostics) -> None:
         """Take an array of diagnostics."""
@@ -126,26 +117,23 @@ class StatusCollector:
             keys = _PLANNER_KEYS if planner else _SIM_KEYS if status.name == _SIM else ()
             for key in keys:
                 value = _number(status.values, key, math.nan)
-                if math.isnan(value):
-                    continue
-                if planner:
-                    self._planners.add((int(planner[1]), key), array.stamp_ns, np.array([value]))
-                else:
-                    self._sim.add(key, array.stamp_ns, np.array([value]))
+                if not math.isnan(value):
+                    uav = int(planner[1]) if planner else 0
+                    self._values.add((key, uav), array.stamp_ns, np.array([value]))
 
     def add_tick(self, uav: int, note: TickNote) -> None:
         """Take the age [ms] of the oldest message of a neighbour that went into a step."""
         stamps = [used.stamp_ns for name, used in note.used.items() if name not in _SENSORS]
         if stamps:
             now_ns = note.moment.now_ns
-            self._ages.add(uav, now_ns, np.array([(now_ns - min(stamps)) * 1e-6]))
+            self._values.add(("age_ms", uav), now_ns, np.array([(now_ns - min(stamps)) * 1e-6]))
 
     def series(self) -> StatusSeries:
         """The values collected."""
-        planner: dict[int, dict[str, Track]] = {}
-        for (uav, key), track in sorted(self._planners.tracks().items()):
-            planner.setdefault(uav, {})[key] = track
-        return StatusSeries(planner, self._sim.tracks(), dict(sorted(self._ages.tracks().items())))
+        found: StatusSeries = {}
+        for (key, uav), track in self._values.tracks().items():
+            found.setdefault(key, {})[uav] = track
+        return found
 
 
 def read_status(path: Path) -> StatusSeries:

@@ -127,16 +127,6 @@ def test_the_summary_is_that_of_the_verdict(flight: Flight) -> None:
     assert str(flight.verdict) == "<Verdict on paper_5: void, 0 of 5 in place at the deadline>"
 
 
-def test_xarray_has_the_axes_and_the_units(flight: Flight) -> None:
-    pytest.importorskip("xarray")
-    found = flight.to_xarray()
-    np.testing.assert_array_equal(found.error_m.sel(uav=4), flight.error_m[:, 3])
-    assert found.force_n.attrs["units"] == "N"
-    np.testing.assert_array_equal(
-        found.position_m.sel(uav=2, axis="z").values, flight.position_m[:, 1, 2]
-    )
-
-
 def test_without_pandas_the_error_says_what_to_install(
     fly: Fly, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -165,7 +165,7 @@ def test_the_age_of_what_a_step_was_made_of(fly):
     collector = StatusCollector()
     for one in notes:
         collector.add_tick(2, one)
-    (block,) = collector.series().age_ms[2].blocks()
+    (block,) = collector.series()["age_ms"][2].blocks()
     assert block.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
     np.testing.assert_allclose(block.values[:, 0], [7.0, 0.0])
     chart = drawn(fly(), collector.series())["age"]
