@@ -37,7 +37,18 @@ _LARGEST_ORDER = 256  # [bytes]
 _LOOK_S = 0.5
 _RECORD_SUFFIX = ".vehicle.json"
 # What the status of a bridge says of its vehicle as well.
-_STATUS = ("step", "fault", "mode", "place", "order", "armed", "heard", "landed", "in_pilots_hands")
+_STATUS = (
+    "label",
+    "step",
+    "fault",
+    "mode",
+    "place",
+    "order",
+    "armed",
+    "heard",
+    "landed",
+    "in_pilots_hands",
+)
 
 
 class RuntimeFolderError(PtnsbcError):
@@ -258,6 +269,7 @@ class VehicleRecord:
     connect: str  # the bridge's link
     peer: str = ""  # "host:port" of the vehicle, once it is known
     signing_key: str = ""  # path of the key file
+    label: str = ""  # of the vehicle, for people
     step: str = ""
     order: str = ""  # the order that the bridge obeys
     heard: bool = False  # whether the vehicle sends HEARTBEAT
@@ -271,6 +283,11 @@ class VehicleRecord:
     fault: str = ""
     ended: bool = False  # the bridge has ended in order
     written_s: float = 0.0  # wall time
+
+    @property
+    def called(self) -> str:
+        """The name of its bridge, with the vehicle's label."""
+        return f"{self.name} ({self.label})" if self.label else self.name
 
     @property
     def state(self) -> str:
@@ -361,8 +378,8 @@ def summary(folder: Path, names: Collection[str]) -> str:
     """One line after the flight: where the vehicles of these bridges are, who is armed, and what to do; or nothing."""
     states, armed = [], []
     for each in (record for record in records(folder) if record.name in names):
-        states.append(f"{each.name} {each.state}{f': {each.fate}' if each.fate else ''}")
-        armed += [each.name] if each.armed else []
+        states.append(f"{each.called} {each.state}{f': {each.fate}' if each.fate else ''}")
+        armed += [each.called] if each.armed else []
     advice = f"keep away from {', '.join(armed)}: a pilot lands it, or ptnsbc stop"
     text = f"after the flight: {'; '.join(states)}: {advice if armed else 'all disarmed'}"
     return text if states else ""

@@ -65,7 +65,7 @@ class OrderDesk:
         name = f"bridge{uav_id}"  # without a namespace: the folder is the fleet's own
         key = str(Path(signing_key).resolve()) if signing_key else ""
         self._fixed = VehicleRecord(
-            name, os.getpid(), link.sysid, link.autopilot, link.connect, signing_key=key
+            name, os.getpid(), link.sysid, link.autopilot, link.connect, "", key, link.label
         )
         for left in records(folder) if folder else ():  # by a bridge that has died in flight
             same = (left.name, left.sysid, left.connect) == (name, link.sysid, link.connect)

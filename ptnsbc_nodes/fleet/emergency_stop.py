@@ -58,7 +58,7 @@ _WANTED = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT})
 class VehicleOutcome(NamedTuple):
     """The outcome of an order at one vehicle."""
 
-    name: str  # of the bridge
+    name: str  # of the bridge, with the label of the vehicle
     obeyed: bool  # it answered and does as it was told, or is left alone as it should be
     text: str
 
@@ -314,7 +314,7 @@ def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
             pid = "" if bridge.local is None else f" (pid {bridge.local.pid})"
             text = f"silent: the bridge{pid} does not answer; last: {record.state}{past}"
         text += f"; {record.fate}" if record.fate and record.armed else ""
-    return VehicleOutcome(bridge.name, obeyed, text)
+    return VehicleOutcome(record.called, obeyed, text)
 
 
 def order_landing(folder: Path, remote: LauncherNode) -> list[str]:

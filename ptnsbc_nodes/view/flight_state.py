@@ -218,6 +218,7 @@ class ProcessReports:
         return {
             "lost": f"uav{uav}" in self._lost and not self.landing,
             "mode": next((s.values["mode"] for s in planner if "mode" in s.values), None),
+            "label": vehicle.get("label", ""),
             "vehicle": vehicle.get("mode") or None,
             "step": vehicle.get("step") or None,
             "armed": vehicle["armed"] == "true" if vehicle else None,

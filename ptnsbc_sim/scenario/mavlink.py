@@ -96,6 +96,9 @@ class VehicleLimits(Block):
 class MavlinkVehicle(Block):
     """Settings of one vehicle."""
 
+    label: Annotated[str, Field(max_length=40, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
+    """Its name, colour and pilot for people, such as `red, Ada`: on the health board, in what `ptnsbc stop` and
+    the summary say."""
     connect: str | None = None
     """`udpin:ADDRESS:PORT`, `udpout:ADDRESS:PORT`, `tcp:ADDRESS:PORT`, `serial:DEVICE[:BAUD]`; unique.
     Default: `udpin:127.0.0.1:14540`, 14541, …"""
@@ -164,3 +167,4 @@ class VehicleLink(NamedTuple):
     signing_key: str | None
     velocity_loop_1_s: float | None
     tilt_lag_s: float | None
+    label: str

@@ -485,12 +485,7 @@ class ScenarioFile(Block):
         connect = vehicle.connect or f"udpin:127.0.0.1:{FIRST_PORT + number}"
         autopilot = vehicle.autopilot or self.mavlink.autopilot
         setpoint = vehicle.setpoint or self.mavlink.setpoint
-        rest = (
-            vehicle.origin_m,
-            vehicle.signing_key,
-            vehicle.velocity_loop_1_s,
-            vehicle.tilt_lag_s,
-        )
+        rest = (getattr(vehicle, name) for name in VehicleLink._fields[4:])
         return VehicleLink(connect, vehicle.sysid or number + 1, autopilot, setpoint, *rest)
 
     def max_speed_m_s(self, uav_id: int) -> float:

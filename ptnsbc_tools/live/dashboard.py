@@ -121,7 +121,8 @@ def _table(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
     for uav in frame["uavs"]:
         height = _number(uav["pose"] and uav["pose"][2], 2)
         battery = {"bat %": _number(uav["battery"], 0)} if with_battery else {}
-        name = f"{uav['id']} leader" if uav["id"] == scenario.leader.id else str(uav["id"])
+        leads = "leader" if uav["id"] == scenario.leader.id else ""
+        name = " ".join(filter(None, (str(uav["id"]), leads, uav["label"])))
         if waiting:
             cells = {_WAITS: uav["readiness"] or "not heard", "GNSS fix": uav["fix"] or "-"}
             cells |= {"mode": _mode(uav), **battery, "height m": height}

@@ -231,10 +231,11 @@ def test_the_summary_after_a_flight(tmp_path):
     write_record(tmp_path, replace(RECORD, armed=False, landed=True, place=""))
     down = "bridge3 disarmed, on the ground in OFFBOARD"
     assert summary(tmp_path, ["bridge3"]) == f"after the flight: {down}: all disarmed"
-    write_record(tmp_path, replace(RECORD, name="bridge4", fate="it hovers"))
+    armed = replace(RECORD, name="bridge4", fate="it hovers", label="red, Ada")
+    write_record(tmp_path, armed)
     assert summary(tmp_path, ["bridge3", "bridge4"]) == (
-        f"after the flight: {down}; bridge4 armed at (1.0, 2.0, 3.0) m in OFFBOARD: it hovers: "
-        "keep away from bridge4: a pilot lands it, or ptnsbc stop"
+        f"after the flight: {down}; bridge4 (red, Ada) armed at (1.0, 2.0, 3.0) m in OFFBOARD: it hovers: "
+        "keep away from bridge4 (red, Ada): a pilot lands it, or ptnsbc stop"
     )
 
 

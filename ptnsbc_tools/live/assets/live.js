@@ -228,7 +228,7 @@ class Board {
     frame.uavs.forEach((uav, k) => {
       const { row, cells } = this.rows[k];
       const near = uav.near && uav.near.distance !== null ? `${uav.near.distance.toFixed(2)} ·${uav.near.name.replace("UAV ", "")}` : "–";
-      const mode = [uav.lost ? "lost" : uav.mode, uav.vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
+      const mode = [uav.label, uav.lost ? "lost" : uav.mode, uav.vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
       const text = [mode || "–", number(uav.battery, 0), uav.fix || "–", uav.readiness || "not heard",
         number(uav.error, uav.error !== null && uav.error < 0.1 ? 4 : 3), number(uav.pose && uav.pose[2], 2), number(uav.speed, 2), near];
       text.forEach((one, i) => { if (cells[i].textContent !== one) cells[i].textContent = one; });

@@ -27,13 +27,14 @@ def test_own_entries_win():
                 "sysid": 42,
                 "autopilot": "px4",
                 "tilt_lag_s": 0.4,
+                "label": "red, Ada",
             },
             3: {"setpoint": "velocity"},
         },
     }
     link = scenario(**block).vehicle_link(2)
     assert link[:6] == ("serial:/dev/ttyACM0:921600", 42, "px4", "attitude", None, None)
-    assert (link.velocity_loop_1_s, link.tilt_lag_s) == (None, 0.4)
+    assert (link.velocity_loop_1_s, link.tilt_lag_s, link.label) == (None, 0.4, "red, Ada")
     others = [scenario(**block).vehicle_link(uav) for uav in (1, 3)]
     assert [other.autopilot for other in others] == ["ardupilot", "ardupilot"]
     assert [other.setpoint for other in others] == ["attitude", "velocity"]

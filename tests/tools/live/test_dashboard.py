@@ -16,7 +16,14 @@ SCENARIO = load_scenario("paper_5")
 
 def uav(number: int, **more: Any) -> dict[str, Any]:
     near = {"name": "UAV 4", "distance": 1.33, "room": 0.7}
-    base = {"id": number, "lost": False, "mode": "form", "vehicle": None, "armed": None}
+    base = {
+        "id": number,
+        "label": "",
+        "lost": False,
+        "mode": "form",
+        "vehicle": None,
+        "armed": None,
+    }
     pose = [1.0, -20.25, 7.9, 0.0, 0.0, 0.0, 1.0]
     return (
         base
@@ -78,12 +85,22 @@ def test_before_the_first_state() -> None:
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_before_the_flight_it_is_a_health_board(width: int) -> None:
     known = {"vehicle": "OFFBOARD", "armed": False, "battery": 81, "fix": "RTK fixed"}
-    ready = uav(2, readiness="ready to arm, waiting for the others", mode=None, **known)
+    ready = uav(
+        2, label="red, Ada", readiness="ready to arm, waiting for the others", mode=None, **known
+    )
     fault = uav(3, readiness="arming refused (not healthy: gps, prearm check)", mode=None)
     shown = text(frame(leg="waiting", uavs=[ready, fault, uav(4, readiness=None)]), width)
     assert max(map(len, shown.splitlines())) <= width
     words = " ".join(shown.replace("│", " ").split())
-    for word in ("RTK fixed", "OFFBOARD", "81", "ready to arm", "arming refused", "not heard"):
+    for word in (
+        "2 red, Ada",
+        "RTK fixed",
+        "OFFBOARD",
+        "81",
+        "ready to arm",
+        "arming refused",
+        "not heard",
+    ):
         assert word in words
     assert "error" not in shown
     if width >= 100:

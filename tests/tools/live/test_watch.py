@@ -43,7 +43,15 @@ def frame(leg: str) -> dict[str, Any]:
         }
         for uav in SCENARIO.uav_ids
     ]
-    more = {"beside": None, "speed": 0.0, "near": None, "mode": leg, "lost": False, "vehicle": None}
+    more = {
+        "label": "",
+        "beside": None,
+        "speed": 0.0,
+        "near": None,
+        "mode": leg,
+        "lost": False,
+        "vehicle": None,
+    }
     uavs = [{**uav, **more, "armed": None, "battery": None} for uav in uavs]
     here = {
         "t": 1.0,
