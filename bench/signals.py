@@ -2,11 +2,11 @@
 
 `python -m bench.signals [--mode lockstep|real|mavlink] [--times 30] [--duration 40] [--seed 1] [--within S]`. Each run
 is a whole fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed
-draws, in the first S seconds after the start, one process gets its signal; after STOP, CONT comes 1.5 s later or
-never. Afterwards the exit code must be the documented one, no process may be left, the bag (mended, where its recorder
-was killed) must open, and no two UAVs may have come closer than their keep-out. After a pause of a UAV or a bridge in
-flight the code is 1: the setpoints of a vehicle stopped. Where the launcher itself is stopped for good, it is killed
-after a while.
+draws, in the first S seconds after the start, or of stand-ins after the first arms, one process gets its signal, or the
+terminal of the launcher is closed; after STOP, CONT comes 1.5 s later or never. Afterwards the exit code must be the
+documented one, no process may be left, every vehicle must stand on the ground disarmed, the bag (mended, where its
+recorder was killed) must open, and no two UAVs may have come closer than their keep-out. After a pause of a UAV or a
+bridge in flight the code is 1: the setpoints of a vehicle stopped. A launcher that is stopped for good is killed later.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.stand_ins import stand_ins, write_scenario
+from ptnsbc_autopilot.fault_lines import send_fault
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
+from ptnsbc_nodes.fleet.child_process import EXECUTABLES
 from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.verdict.recording import Recording, VerdictError, require_all_uavs
 from ptnsbc_sim.verdict.separation import Separation, joined, separations
@@ -39,28 +41,36 @@ from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.library.bags import repair
 from ptnsbc_tools.reading.bag_reader import read_recording
 
+_SIMULATED = ("uav1", "uav3", "sim", "recorder", "launcher")
 _VICTIMS = {
-    "lockstep": ("uav1", "uav3", "sim", "recorder", "launcher"),
-    "real": ("uav1", "uav3", "sim", "recorder", "launcher"),
-    "mavlink": ("uav1", "uav3", "bridge1", "bridge3", "recorder", "launcher"),
+    "lockstep": _SIMULATED,
+    "real": _SIMULATED,
+    "mavlink": ("uav1", "uav3", "bridge1", "bridge3", "recorder", "launcher", "terminal"),
 }
 _MOMENTS_S = {"lockstep": 4.0, "real": 12.0, "mavlink": 25.0}  # after the start, the latest
-_ORDERS = ("kill", "stop", "pause")
+_ORDERS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "pause": signal.SIGSTOP}
+_BEGINS = ("arming", "started")
 _FLIES = frozenset(step.value for step in FLYING)
 _COMES_DOWN = frozenset(step.value for step in (Step.LAND, Step.DISARM, Step.DONE))
 _PAUSE_S = 1.5
 _STUCK_S = 25.0  # so long a launcher stands still before it is killed
 _READY_S = 600.0  # vehicles that do not land are waited for 240 s
 _LEFT_S = 30.0
-_LAST_WORDS = 6  # lines of a launcher that did not start: the reason, and the end of a log
+
+
+class Strike(NamedTuple):
+    """A signal to one process."""
+
+    victim: str
+    order: str
+    begin: str  # the end of the line of the launcher after which time counts
+    after_s: float
 
 
 class Struck(NamedTuple):
     """One flight, and what is wrong with it."""
 
-    victim: str
-    order: str
-    after_s: float  # from the start of the flight
+    strike: Strike
     exit_code: int | None
     wrong: tuple[str, ...]
     struck: bool = True  # whether the victim still ran at that moment
@@ -72,61 +82,74 @@ def struck(
     """So many flights, each with a victim, an order and a moment of its own."""
     chance, victims = random.Random(seed), _VICTIMS[mode]
     for number in range(count):
-        victim, order = victims[number % len(victims)], chance.choice(_ORDERS)
-        after_s = chance.uniform(0.0, within_s)
+        victim, order = victims[number % len(victims)], chance.choice(list(_ORDERS))
+        order = "hang up" if victim == "terminal" else order
+        begin = chance.choice(_BEGINS) if mode == "mavlink" else "started"
+        strike = Strike(victim, order, begin, round(chance.uniform(0.0, within_s), 2))
         with (
             tempfile.TemporaryDirectory(prefix="signals-") as name,
             free_domain() as domain,  # of two benches at once, one activated a UAV of the other
-            _vehicles(Path(name), mode, domain, duration_s) as words,
+            _vehicles(Path(name), mode, domain, duration_s) as (words, control),
         ):
-            found = _flight(Path(name), domain, words, victim, order, after_s)
+            found = _flight(Path(name), domain, words, strike)
+            if control:
+                found = found._replace(wrong=(*found.wrong, *_left_armed(control)))
         print(f"bench: {found}", file=sys.stderr, flush=True)
         yield found
 
 
 @contextmanager
-def _vehicles(folder: Path, mode: str, domain: int, duration_s: float) -> Iterator[list[str]]:
-    """Words of the launcher for this mode; the stand-ins of its vehicles fly meanwhile."""
-    length = ["--duration", str(duration_s)]
+def _vehicles(
+    folder: Path, mode: str, domain: int, duration_s: float
+) -> Iterator[tuple[list[str], int]]:
+    """Words of the launcher for this mode; the stand-ins of its vehicles fly meanwhile, and the port that asks them."""
+    words = ["--duration", str(duration_s), "--scenario"]
     if mode != "mavlink":
-        yield ["--scenario", "paper_5", *length, *(["--lockstep"] if mode == "lockstep" else [])]
+        yield [*words, "paper_5", *(["--lockstep"] if mode == "lockstep" else [])], 0
         return
     scenario, control = write_scenario(folder, duration_s)
     with stand_ins(folder, domain, scenario, control):
-        yield ["--scenario", str(scenario), *length, "--backend", "mavlink", "--allow-arming"]
+        yield [*words, str(scenario), "--backend", "mavlink", "--allow-arming"], control
 
 
-def _flight(
-    folder: Path, domain: int, words: Sequence[str], victim: str, order: str, after_s: float
-) -> Struck:
+def _left_armed(control: int) -> Iterator[str]:
+    """The vehicles that are armed or in the air after their fleet has ended, by their own truth."""
+    for state in json.loads(send_fault(control, "all state")):
+        if state["armed"] or not state["contact"]:
+            armed, height_m = "armed" if state["armed"] else "disarmed", state["position_enu_m"][2]
+            yield f"vehicle {state['system']} left {armed} at {height_m:.1f} m in {state['mode']}"
+
+
+def _flight(folder: Path, domain: int, words: Sequence[str], strike: Strike) -> Struck:
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     command = [sys.executable, "-m", "ptnsbc_nodes.fleet.fleet_main", *words]
     command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
-        if refusal := _until_started(launcher):
-            return Struck(victim, order, round(after_s, 2), launcher.wait(), (refusal,), False)
-        time.sleep(after_s)  # the moment is the experiment
-        pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
+        if refusal := _until(strike.begin, launcher):
+            return Struck(strike, launcher.wait(), (refusal,), False)
+        time.sleep(strike.after_s)  # the moment is the experiment
+        launches = strike.victim in ("launcher", "terminal")
+        pid = launcher.pid if launches else _pids(folder).get(strike.victim)
         late = pid is None or launcher.poll() is not None
         struck_ns = time.time_ns()
-        if pid is not None and not late:
-            _signal(pid, order)
-        code = _end(launcher, victim, order)
+        if pid and not late:
+            _signal(pid, strike.order)
+        code = _end(launcher, strike)
     finally:
         if launcher.poll() is None:
             launcher.kill()
         launcher.communicate()
-    wrong = () if late else tuple(_wrong(folder, victim, order, struck_ns, code))
-    return Struck(victim, order, round(after_s, 2), code, wrong, not late)
+    wrong = () if late else tuple(_wrong(folder, strike, struck_ns, code))
+    return Struck(strike, code, wrong, not late)
 
 
-def _until_started(launcher: subprocess.Popen[str]) -> str:
-    """Wait for the start of the flight; the last words of a launcher that ended before it."""
+def _until(begin: str, launcher: subprocess.Popen[str]) -> str:
+    """Wait until it says that this has begun; the last words of a launcher that ended before it."""
     assert launcher.stderr is not None
-    last = deque[str](maxlen=_LAST_WORDS)
+    last = deque[str](maxlen=6)  # the reason, and the end of a log
     for line in launcher.stderr:
-        if line.rstrip().endswith("started"):
+        if line.rstrip().endswith(begin):
             return ""
         last.append(line.strip())
     return f"the fleet did not start: {' '.join(last)}"
@@ -135,42 +158,32 @@ def _until_started(launcher: subprocess.Popen[str]) -> str:
 def _pids(folder: Path) -> dict[str, int]:
     """The processes of the fleet by name: all of them name its scenario file."""
     mark, found = str(folder / "logs" / "scenario.yaml"), {}
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdecimal():
-            continue
+    for entry in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             if any(mark in word for word in words):
-                if "--uav" in words:
-                    kind = "bridge" if "ptnsbc_nodes.bridge.bridge_main" in words else "uav"
-                    found[f"{kind}{words[words.index('--uav') + 1]}"] = int(entry.name)
-                elif "ptnsbc_nodes.sim.sim_main" in words:
-                    found["sim"] = int(entry.name)
-                elif "ptnsbc_nodes.recording.recorder_main" in words:
-                    found["recorder"] = int(entry.name)
+                kind = next((EXECUTABLES[word] for word in words if word in EXECUTABLES), "other")
+                uav = words[words.index("--uav") + 1] if "--uav" in words else ""
+                found[f"{kind}{uav}"] = int(entry.name)
     return found
 
 
 def _signal(pid: int, order: str) -> None:
     with suppress(ProcessLookupError):
-        if order == "kill":
-            os.kill(pid, signal.SIGKILL)
-            return
-        os.kill(pid, signal.SIGSTOP)
+        os.kill(pid, _ORDERS.get(order, signal.SIGHUP))
         if order == "pause":
             time.sleep(_PAUSE_S)
             os.kill(pid, signal.SIGCONT)
 
 
-def _end(launcher: subprocess.Popen[str], victim: str, order: str) -> int | None:
+def _end(launcher: subprocess.Popen[str], strike: Strike) -> int | None:
     """Wait for the end of the flight; a launcher that stands still for good is killed."""
-    endless = order == "stop" and victim == "launcher"
-    with suppress(subprocess.TimeoutExpired):
-        launcher.communicate(timeout=_STUCK_S if endless else _READY_S)
-        return launcher.returncode
-    launcher.kill()
-    with suppress(subprocess.TimeoutExpired):
-        launcher.communicate(timeout=_READY_S)
+    limit_s = _STUCK_S if strike[:2] == ("launcher", "stop") else _READY_S
+    while launcher.poll() is None:
+        with suppress(subprocess.TimeoutExpired):
+            launcher.communicate(timeout=limit_s)
+            break
+        launcher.kill()
     return launcher.returncode
 
 
@@ -191,7 +204,7 @@ def _exit_codes(victim: str, order: str, steps: BridgeSteps) -> set[int]:
         if steps.before not in _FLIES:
             return {0}
         return {0, 1} if steps.after in _COMES_DOWN else {1}
-    return {-signal.SIGKILL} if victim == "launcher" else {1}
+    return {"launcher": {-signal.SIGKILL}, "terminal": {130}}.get(victim, {1})
 
 
 def _steps(bag: Path, victim: str, struck_ns: int) -> BridgeSteps:
@@ -207,13 +220,13 @@ def _steps(bag: Path, victim: str, struck_ns: int) -> BridgeSteps:
     return BridgeSteps(before)
 
 
-def _wrong(
-    folder: Path, victim: str, order: str, struck_ns: int, code: int | None
-) -> Iterator[str]:
+def _wrong(folder: Path, strike: Strike, struck_ns: int, code: int | None) -> Iterator[str]:
     steps = BridgeSteps()
     with suppress(PtnsbcError):  # a bag that cannot be read is reported below
-        steps = _steps(folder / "bag", victim, struck_ns) if order == "pause" else steps
-    fine = _exit_codes(victim, order, steps)
+        if strike.order == "pause":
+            steps = _steps(folder / "bag", strike.victim, struck_ns)
+    fine = _exit_codes(strike.victim, strike.order, steps)
+    fine |= {2} if strike.begin == "arming" else set()
     if code not in fine:
         yield f"exit code {code}: expected {sorted(fine)}"
     until_s = time.monotonic() + _LEFT_S
@@ -225,7 +238,9 @@ def _wrong(
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
     try:
-        separations = list(_separations(_recording(folder)))
+        if not (bag := folder / "bag").exists():
+            repair(folder / "bag.part", bag)
+        separations = list(_separations(read_recording(bag)))
     except PtnsbcError as error:
         yield f"bag: {' '.join(str(error).split())}"
         return
@@ -238,9 +253,7 @@ def _separations(recording: Recording) -> Iterator[Separation]:
     """The closest approaches at all instants of which every UAV is recorded, and those of the verdict on a flight.
 
     A process that is struck before the first leg leaves a bag without a flight to judge. Distances are kept there too.
-
-    Raises:
-        VerdictError: there is no such instant, or the verdict refuses the flight.
+    VerdictError where there is no such instant, or the verdict refuses the flight.
     """
     require_all_uavs(recording)
     begin_ns = max(track.first_ns for track in recording.odometry.values())
@@ -253,13 +266,6 @@ def _separations(recording: Recording) -> Iterator[Separation]:
         yield from verdict_on(recording).separations
 
 
-def _recording(folder: Path) -> Recording:
-    bag = folder / "bag"
-    if not bag.exists():
-        repair(folder / "bag.part", bag)
-    return read_recording(bag)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 1 when anything is wrong with a flight."""
     parser = argparse.ArgumentParser(prog="python -m bench.signals", description=__doc__)
@@ -267,17 +273,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--times", type=int, default=30, metavar="N")
     parser.add_argument("--duration", type=float, default=40.0, metavar="S")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--within", type=float, metavar="S", help=f"latest moment; by default {_MOMENTS_S}"
-    )
+    parser.add_argument("--within", type=float, metavar="S", help="latest moment")
     options = parser.parse_args(arguments)
     within_s = _MOMENTS_S[options.mode] if options.within is None else options.within
-    flights = struck(options.mode, options.times, options.duration, options.seed, within_s)
-    found = list(flights)
+    found = list(struck(options.mode, options.times, options.duration, options.seed, within_s))
     bad = [one._asdict() for one in found if one.wrong]
-    hit = [one for one in found if one.struck]
-    cases = Counter(f"{one.order} {one.victim}" for one in hit)
-    summary = {"flights": len(found), "struck": len(hit), "mode": options.mode}
+    cases = Counter(" ".join(one.strike[:3]) for one in found if one.struck)
+    summary = {"mode": options.mode, "flights": len(found), "struck": cases.total()}
     print(json.dumps({**summary, "cases": cases, "wrong": bad}, indent=1))
     return int(bool(bad))
 

@@ -9,7 +9,7 @@ from synthetic_flights import flight
 
 pytest.importorskip("rclpy")
 
-from bench.signals import BridgeSteps, _exit_codes, _separations, _steps, _until_started
+from bench.signals import BridgeSteps, _exit_codes, _separations, _steps, _until
 from ptnsbc_io.bag import BagWriter, declare
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
@@ -90,4 +90,4 @@ def test_a_bag_without_an_instant_of_all_uavs_is_wrong():
 )
 def test_a_fleet_that_does_not_start_ends_no_series(said, words):
     launcher = SimpleNamespace(stderr=io.StringIO(said))
-    assert _until_started(launcher) == words
+    assert _until("started", launcher) == words
