@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -22,7 +22,22 @@ from ptnsbc_io.bag.metadata import (
     DamagedError,
     read_metadata,
 )
+from ptnsbc_io.wire import (
+    WireError,
+    decode_diagnostics,
+    decode_header,
+    decode_odometry,
+    decode_velocity,
+    decode_wrench,
+)
 
+_DECODERS: Mapping[str, Callable[[bytes], object]] = {
+    "diagnostic_msgs/msg/DiagnosticArray": decode_diagnostics,
+    "geometry_msgs/msg/TwistStamped": decode_velocity,
+    "geometry_msgs/msg/WrenchStamped": decode_wrench,
+    "nav_msgs/msg/Odometry": decode_odometry,
+    "std_msgs/msg/Header": decode_header,
+}
 _FILE_NUMBER = re.compile(r"_(\d+)\.mcap$")
 
 
@@ -219,12 +234,24 @@ def _read_contents(file: Path, salvage: bool) -> Contents:
     return contents
 
 
+def _is_readable(message: BagMessage, topics: Mapping[str, BagTopic]) -> bool:
+    """Whether a message decodes, of the types that verdicts and re-runs read."""
+    try:
+        _DECODERS.get(topics[message.topic].type, bytes)(message.data)
+    except WireError:
+        return False
+    return True
+
+
 def find_problems(bag: Bag) -> list[str]:
     """Problems of an open bag, none when it is whole; reads all of it with its checksums."""
     problems = []
     for path, contents in bag.files:
         damage = replace(contents.damage)
-        held = sum(1 for _ in mcap_file.messages(path, contents, None, damage))
+        held, unreadable = 0, Counter[str]()
+        for message in mcap_file.messages(path, contents, None, damage):
+            held += 1
+            unreadable[message.topic] += not _is_readable(message, bag.topics)
         summarised = sum(contents.counts.values())
         if damage.cut:
             problems.append(f"{path.name}: its end is missing")
@@ -234,6 +261,8 @@ def find_problems(bag: Bag) -> list[str]:
             problems.append(f"{path.name}: {held} messages, its summary says {summarised}")
         if damage.times:
             problems.append(f"{path.name}: a time that no clock shows")
+        found = ((topic, number) for topic, number in unreadable.items() if number)
+        problems += [f"{path.name}: {number} damaged on {topic}" for topic, number in found]
     path = bag.path.with_name(METADATA_FILE)
     if not path.is_file():
         return [*problems, f"{METADATA_FILE} is missing"]

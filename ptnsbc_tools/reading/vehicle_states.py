@@ -94,13 +94,13 @@ def _by_uav(
     what: str, texts: Sequence[str] | None, scenario: Scenario, example: str
 ) -> dict[int, str]:
     """The values of `N=VALUE`, of which one text may hold several."""
-    found = {}
+    found = dict[int, str]()
     for text in (part for one in texts or () for part in _BEFORE_UAV.split(one)):
         match = _OF_UAV.fullmatch(text)
-        if match is None or int(match[1]) not in scenario.uav_ids:
+        if match is None or int(match[1]) not in set(scenario.uav_ids) - found.keys():
             raise TopicPatternError(
                 f"{what} of a UAV: {text}: expected N=VALUE with N one of {', '.join(map(str, scenario.uav_ids))}, "
-                f"and a value like {example}"
+                f"each once, and a value like {example}"
             )
         found[int(match[1])] = match[2]
     return found

@@ -62,7 +62,7 @@ SCHEMA = record(Opcode.SCHEMA, struct.pack("<H", 1) + text(TOPIC.type) + text("r
 
 def file(path: Path, *parts: bytes) -> Path:
     """An MCAP file without an end, which starts with one good message."""
-    path.write_bytes(b"".join((MAGIC, SCHEMA, channel(), message(), *parts)))
+    path.write_bytes(b"".join((MAGIC, SCHEMA, channel(), message(0, EPOCH), *parts)))
     return path
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io.bag import BagError, BagMessage, declare, read_bag
+from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.wire import HeaderTemplate, decode_integers, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import Decision, encode_slots
@@ -146,6 +147,7 @@ def test_damaged_statuses_are_left_out_and_named(scenario, headless, rewritten):
     assert rerun(read_bag(path), scenario).verdict == rerun(read_bag(headless), scenario).verdict
     whole, damaged = read_recording(headless), read_recording(path)
     assert damaged.left_out == ("2 damaged on /diagnostics, left out",)
+    assert find_problems(read_bag(path)) == [f"{path.name}_0.mcap: 2 damaged on /diagnostics"]
     assert {uav: track.size for uav, track in damaged.counters.items()} == {
         uav: track.size for uav, track in whole.counters.items()
     }
