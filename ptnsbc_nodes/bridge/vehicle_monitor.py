@@ -9,6 +9,7 @@ repeated. A real change is delayed by one message: 20 ms for a position, one req
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any, NamedTuple
@@ -235,6 +236,8 @@ _FLIES_BY = (
     "3d gyro", "3d accel", "3d mag", "3d gyro2", "3d accel2", "3d mag2", "absolute pressure", "vision position",
     "xy position control", "z altitude control", "motor outputs", "ahrs",
 )  # fmt: skip
+# ArduCopter says that something is well again as loudly as it said that it was not.
+_ENDS = re.compile(r"(EKF Failsafe|Glitch) cleared|Dead Reckoning stopped|compensation OFF", re.I)
 _NO_VOLTAGE = 65535  # UINT16_MAX: not sent
 _FIX_3D = 3
 _FIXES = ("", "none", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")
@@ -456,7 +459,7 @@ class VehicleMonitor:
             text = self._chunks.get(message.id, "") * bool(message.chunk_seq) + text
             self._chunks = {message.id: text}
         self.warning = text.strip()
-        if message.severity <= mavlink.MAV_SEVERITY_CRITICAL:
+        if message.severity <= mavlink.MAV_SEVERITY_CRITICAL and not _ENDS.search(self.warning):
             self.alarm = (self.warning, now_s)
 
 

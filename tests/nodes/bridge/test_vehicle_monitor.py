@@ -209,6 +209,17 @@ def test_a_critical_text_is_an_alarm(severity, alarms):
     assert vehicle.alarm == (("EKF variance", 7.0) if alarms else ("", float("-inf")))
 
 
+@pytest.mark.parametrize(
+    "text", ["EKF Failsafe Cleared", "Glitch cleared", "Vibration compensation OFF"]
+)
+def test_what_is_well_again_is_no_alarm(text):
+    """ArduCopter calls it critical."""
+    vehicle = VehicleMonitor(ARDUPILOT)
+    vehicle.on_message(mavlink.MAVLink_statustext_message(2, text.encode()), 7.0)
+    assert vehicle.alarm == ("", float("-inf"))
+    assert vehicle.warning == text
+
+
 def test_a_boot_is_believed_only_of_a_clock_that_is_young():
     vehicle = VehicleMonitor(PX4)
     booting = heartbeat(system_status=mavlink.MAV_STATE_BOOT)

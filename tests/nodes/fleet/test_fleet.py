@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -220,6 +222,37 @@ def test_functions_of_the_user_fly_in_real_time_to_their_deadline_and_run_again(
     found = flight_in(bag).verdict
     assert found.verdict == "met", found
     assert rerun(read_bag(bag), scenario).verdict == "equal"
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_terminals_that_join_in_flight_and_leave_delay_no_setpoint(tmp_path, domain, monkeypatch):
+    """Once all UAVs were silent for 1.2 to 1.7 s while a `stop --ready` was discovered."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    words = [sys.executable, "-m", "ptnsbc_tools", "stop", "--ready"]
+    said = []
+
+    def come_and_go():
+        for _ in range(5):  # without a terminal it leaves once it has joined
+            done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+            said.append(done.stderr)
+
+    def progress(line):
+        if line.endswith("started"):
+            visitors.start()
+
+    visitors = threading.Thread(target=come_and_go)
+    scenario = load_scenario("paper_5", {"timing.duration_s": 20.0})
+    bag = tmp_path / "bag"
+    flown = run_fleet(FleetOptions(scenario, bag=bag, log_dir=tmp_path / "logs"), progress)
+    visitors.join()
+    assert flown.exit_code == 0
+    assert len(said) == sum("the input has ended" in words for words in said) == 5, said
+    stamps = {uav: [] for uav in scenario.uav_ids}
+    for message in read_bag(bag).messages([f"/uav{uav}/setpoint/wrench" for uav in stamps]):
+        stamps[int(message.topic[4])].append(message.stamp_ns)
+    gaps_s = {uav: np.diff(times).max() * 1e-9 for uav, times in stamps.items()}
+    assert max(gaps_s.values()) < 0.3, gaps_s
 
 
 @pytest.mark.slow
