@@ -122,7 +122,7 @@ def _left_armed(control: int) -> Iterator[str]:
 
 def _flight(folder: Path, domain: int, words: Sequence[str], strike: Strike) -> Struck:
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.fleet_main", *words]
+    command = [sys.executable, "-m", "tests.support.fleet_main", *words]
     command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:

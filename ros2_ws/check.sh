@@ -38,7 +38,7 @@ assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typ
 ") || die "$name: not importable from install/"; } &
   checks+=($!)
 done
-for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator,fleet} ptnsbc_tools/ptnsbc; do
+for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator} ptnsbc_tools/ptnsbc; do
   program=install/${program%/*}/lib/$program
   [ -x "$program" ] || die "$program: 'ros2 run' would not find it"
   { (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"; } &

@@ -19,7 +19,6 @@ PROGRAMS = {
         "uav": "ptnsbc_nodes.uav.uav_main:main",
         "sim": "ptnsbc_nodes.sim.sim_main:main",
         "recorder": "ptnsbc_nodes.recording.recorder_main:main",
-        "fleet": "ptnsbc_nodes.fleet.fleet_main:main",
         "bridge": "ptnsbc_nodes.bridge.bridge_main:main",
         "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",
     },

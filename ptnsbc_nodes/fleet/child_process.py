@@ -80,7 +80,6 @@ EXECUTABLES = {
     "ptnsbc_nodes.sim.sim_main": "sim",
     "ptnsbc_nodes.recording.recorder_main": "recorder",
     "ptnsbc_nodes.bridge.bridge_main": "bridge",
-    "ptnsbc_nodes.fleet.fleet_main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
 }
 """The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc network node` and launch files."""

@@ -36,7 +36,7 @@ network = group("A fleet on several computers: profiles for --network, key, proc
 def node(
     context: typer.Context,
     name: Annotated[
-        Literal["uav", "sim", "recorder", "bridge", "coordinator", "fleet"],
+        Literal["uav", "sim", "recorder", "bridge", "coordinator"],
         argument("NAME", "The process; its own options and those of ROS follow."),
     ],
 ) -> None:

@@ -11,13 +11,12 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from ptnsbc_nodes.fleet import fleet_main
-
+ROOT = Path(__file__).parents[2]
 PATIENCE_S = 240  # the first flight compiles the laws
 
 
 class Launched:
-    """`fleet_node` as a process of its own, with the lines it has said."""
+    """`fleet_main` as a process of its own, with the lines it has said."""
 
     def __init__(self, log_dir: Path, *arguments: str, domain: int | None = None) -> None:
         """`arguments` of the launcher; without a `domain` it takes a free one."""
@@ -26,14 +25,14 @@ class Launched:
         environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
         if domain is not None:
             environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "ptnsbc_nodes.fleet.fleet_main", "--scenario", "paper_5"]
+        command = [sys.executable, "-m", "tests.support.fleet_main", "--scenario", "paper_5"]
         self.process = subprocess.Popen(
             [*command, "--lockstep", "--log-dir", str(log_dir), *arguments],
             stderr=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             env=environment,
-            cwd=Path(fleet_main.__file__).parents[2],
+            cwd=ROOT,
         )
         # A fleet that hangs fails its test, instead of hanging that too.
         self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)

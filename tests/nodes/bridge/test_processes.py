@@ -87,7 +87,7 @@ def test_a_bridge_killed_during_the_take_off_ends_the_flight_with_all_on_the_gro
     path = write_scenario(tmp_path / "two.yaml", domain, duration_s=13, fleet=pair)
     logs, control = tmp_path / "logs", first_port(domain) + 20
     command = (
-        "ptnsbc_nodes.fleet.fleet_main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
+        "tests.support.fleet_main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
         "--log-dir", logs,
     )  # fmt: skip
     with (
@@ -115,7 +115,7 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
     path = write_scenario(tmp_path / "three.yaml", domain, duration_s=60, fleet=THREE)
     logs, control = tmp_path / "logs", first_port(domain) + 20
     command = (
-        "ptnsbc_nodes.fleet.fleet_main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
+        "tests.support.fleet_main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
         "--bag", tmp_path / "bag", "--log-dir", logs, "--wait",
     )  # fmt: skip
 

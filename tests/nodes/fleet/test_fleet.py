@@ -18,7 +18,6 @@ from std_srvs.srv import Trigger
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, read_bag
-from ptnsbc_nodes.fleet import fleet_main
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, _killed_by, run_fleet
 from ptnsbc_nodes.view.observer import Observer
@@ -426,16 +425,6 @@ def test_an_existing_bag_is_refused_before_anything_starts(tmp_path):
     with pytest.raises(BagError, match="choose another name, or overwrite it"):
         run_fleet(options, said.append)
     assert said == []
-
-
-def test_a_bad_scenario_is_one_line_and_exit_2(tmp_path, capsys):
-    path = tmp_path / "bad.yaml"
-    path.write_text("name: bad\n")
-    assert fleet_main.main(["--scenario", str(path)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("fleet: ")
-    assert "bad.yaml" in err
 
 
 def test_a_uav_that_the_scenario_kills_has_not_died():

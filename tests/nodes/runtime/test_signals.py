@@ -139,17 +139,15 @@ PROCESSES = {
     "bridge": ("ptnsbc_nodes.bridge.bridge_main", *SCENARIO, "--uav", "1"),
     "recorder": ("ptnsbc_nodes.recording.recorder_main", "--bag", "bag", "--uavs", "1"),
     "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
-    "fleet": ("ptnsbc_nodes.fleet.fleet_main", *SCENARIO),
     "ptnsbc fleet": ("ptnsbc_tools", "fleet", "paper_5"),
 }
-INTERRUPTED = {"fleet": 130, "ptnsbc fleet": 130}  # the others end with 0
+INTERRUPTED = {"ptnsbc fleet": 130}  # the others end with 0
 LAST = {
     "uav": "ptnsbc_nodes.uav.uav_node",
     "sim": "ptnsbc_nodes.sim.sim_node",
     "bridge": "ptnsbc_nodes.bridge.process",
     "recorder": "ptnsbc_nodes.recording.fleet_recorder",
     "coordinator": "ptnsbc_nodes.fleet.fleet_node",
-    "fleet": "ptnsbc_nodes.fleet.supervisor",
     "ptnsbc fleet": "ptnsbc_nodes.fleet.supervisor",
 }
 MOMENTS = ["start", "ptnsbc_nodes.runtime.signals", "numpy", "rclpy", "last"]

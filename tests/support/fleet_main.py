@@ -1,4 +1,7 @@
-"""Fly a fleet: `python -m ptnsbc_nodes.fleet.fleet_main --scenario paper_5 --lockstep --bag DIR`."""
+"""The launcher as a process, without the verdict of `ptnsbc fleet`.
+
+`python -m tests.support.fleet_main --scenario paper_5 --lockstep --bag DIR`, in the folder of the repository.
+"""
 
 from __future__ import annotations
 
