@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.link import V2
 
 _RETRY_S = 0.5
@@ -97,35 +98,6 @@ class ParameterReader:
 
 _DEGREE = 0.017453292519943295
 _THRUST_AS_THRUST = 8  # bit 3 of GUID_OPTIONS
-
-
-class FlightMode(Enum):
-    """A flight mode, as far as the bridge distinguishes them."""
-
-    OWN = "own"  # OFFBOARD, GUIDED: it follows setpoints
-    HOLD = "hold"  # holds its position
-    LAND = "land"
-    RETURN = "return"
-    TAKEOFF = "takeoff"
-    OTHER = "other"  # for example flown by a pilot
-
-    @classmethod
-    def named(cls, name: str) -> FlightMode:
-        """By the name that an autopilot has for it."""
-        return _MODES.get(name, cls.OTHER)
-
-
-_MODES = {
-    "OFFBOARD": FlightMode.OWN,
-    "GUIDED": FlightMode.OWN,
-    "HOLD": FlightMode.HOLD,
-    "BRAKE": FlightMode.HOLD,
-    "LAND": FlightMode.LAND,
-    "PRECLAND": FlightMode.LAND,
-    "RTL": FlightMode.RETURN,
-    "SMART_RTL": FlightMode.RETURN,
-    "TAKEOFF": FlightMode.TAKEOFF,
-}
 
 
 class SetpointLimits(NamedTuple):

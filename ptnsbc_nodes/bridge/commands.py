@@ -6,8 +6,9 @@ import math
 from collections import Counter
 from typing import Any
 
-from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
+from ptnsbc_io.mavlink.autopilots import Autopilot
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 

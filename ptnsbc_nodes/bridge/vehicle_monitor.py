@@ -19,8 +19,9 @@ import numpy as np
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_io.mavlink import frames
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, FlightMode
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import VehicleClock
 from ptnsbc_nodes.bridge.procedure.steps import Lasting

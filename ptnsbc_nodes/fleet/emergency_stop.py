@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import read_key
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
 from ptnsbc_nodes.bridge.commands import Commands, companion_heartbeat

@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 import signal
 import time
+from importlib import import_module
 
 from ptnsbc_nodes.bridge.procedure.steps import OVER
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency import in_pilots_hands, latched, records, summary
 from ptnsbc_nodes.fleet.child_process import BRIDGE, UAV, ChildProcess, end, fault_lines
-from ptnsbc_nodes.fleet.emergency_stop import land_left_behind, order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.takeoff import Launch, Report
@@ -45,6 +45,8 @@ class Supervisor:
         self.died: list[ChildProcess] = []  # before their time
         self.lost_elsewhere: list[str] = []  # UAVs that have ended on other computers
         self._options, self._crew, self._node, self._stop, self._progress = launch
+        if self._options.backend != "sim":  # it needs pymavlink, and no time in an emergency
+            import_module("ptnsbc_nodes.fleet.emergency_stop")
         self._faults = faults
         self._reported: set[str] = set()  # processes whose end has been reported
         self._was_led = False
@@ -176,6 +178,8 @@ class Supervisor:
         self._node.leave()
         end([child for child in children if child.name != RECORDER])
         if names := {bridge.name for bridge in self._bridges}:
+            from ptnsbc_nodes.fleet.emergency_stop import land_left_behind
+
             land_left_behind(
                 self._node.folder, names, lambda: self._stop.count > signals, self._progress
             )
@@ -251,5 +255,7 @@ def call_down(node: LauncherNode, leg: str, progress: Report, *, led: bool = Tru
     if refusal:
         progress(f"{refusal}: every bridge is told to land by itself")
     if refusal is not None:
+        from ptnsbc_nodes.fleet.emergency_stop import order_landing
+
         for line in order_landing(node.folder, node):
             progress(line)

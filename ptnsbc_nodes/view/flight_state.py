@@ -14,6 +14,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
+from ptnsbc_nodes.bridge.procedure.steps import OVER, Step
 from ptnsbc_nodes.comm.announcements import DecidedSlots, Decision, LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
@@ -26,8 +27,7 @@ SILENT_S = 2.0
 _KEPT_NS = 1_000_000_000
 _SILENT_NS = 500_000_000
 _STILL_M_S = 0.05
-# Steps of a bridge; their module needs pymavlink.
-LANDING = ("holding apart by height", "landing", "disarming on the ground", "done", "failed")
+_LANDING = {step.value for step in (Step.APART, Step.LAND, Step.DISARM, *OVER)}
 _READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
 
 
@@ -233,7 +233,7 @@ class ProcessReports:
         """True if all vehicles land, or have landed, by the word of their bridges."""
         heard = (of for name, of in self._heard.items() if name.startswith("bridge"))
         steps = [s.values["step"] for of in heard for _, s in of.values() if "step" in s.values]
-        return bool(steps) and all(step in LANDING for step in steps)
+        return bool(steps) and all(step in _LANDING for step in steps)
 
     def levels(self) -> list[dict[str, Any]]:
         """Level and word of every process that has reported or ended; 0 is well, 1 a warning, 2 an error."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ptnsbc_io.mavlink.autopilots import PX4, FlightMode
+from ptnsbc_io.mavlink.autopilots import PX4
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
     CommandRequest,

@@ -346,14 +346,8 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
 
 def test_a_simulated_fleet_needs_no_mavlink() -> None:
     """pymavlink is an extra of the package."""
-    programs = (
-        "fleet.fleet_main",
-        "uav.uav_main",
-        "sim.sim_main",
-        "recording.recorder_main",
-        "fleet.coordinator_main",
-    )
-    modules = ", ".join(f"ptnsbc_nodes.{program}" for program in programs)
+    flown = ("fleet.fleet", "uav.uav_node", "sim.sim_node", "recording.fleet_recorder")
+    modules = ", ".join(f"ptnsbc_nodes.{name}" for name in (*flown, "view.observer"))
     code = f"import sys; sys.modules['pymavlink'] = None\nimport ptnsbc, {modules}"
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -23,7 +23,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
+from ptnsbc_io.mavlink.autopilots import Autopilot
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
     BEFORE_ARMING,
     FLYING,

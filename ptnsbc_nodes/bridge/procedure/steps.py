@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from ptnsbc_io.mavlink.autopilots import FlightMode
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 
 STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""

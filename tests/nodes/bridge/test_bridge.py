@@ -12,8 +12,8 @@ from mavlink_fleet import AUTOPILOTS, BASE_NS, START_S, MavlinkFleet, scenario
 from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_autopilot.server import Codec
 from ptnsbc_autopilot.vehicle import COMPANION
-from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.emergency import Order
 from ptnsbc_sim.scenario import load_scenario

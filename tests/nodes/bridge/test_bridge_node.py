@@ -15,7 +15,7 @@ pytest.importorskip("pymavlink")
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
-from ptnsbc_io.mavlink.autopilots import FlightMode
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_io.wire import OdometryTemplate, checked_near

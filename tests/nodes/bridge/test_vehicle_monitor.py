@@ -18,8 +18,9 @@ from ptnsbc_core.kinematics import (
     velocity_enu,
     yaw_of,
 )
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.frames import quaternion_enu_flu_to_ned_frd
 from ptnsbc_nodes.bridge.vehicle_monitor import (
     ConfirmedValue,

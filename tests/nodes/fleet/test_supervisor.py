@@ -20,7 +20,7 @@ from ptnsbc_nodes.emergency import (
     summary,
     write_record,
 )
-from ptnsbc_nodes.fleet import child_process
+from ptnsbc_nodes.fleet import child_process, emergency_stop
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, Crew, FleetOptions, ProcessCommand
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
@@ -287,7 +287,9 @@ def test_a_second_signal_ends_the_wait_and_the_armed_are_named(monkeypatch, tmp_
     fleet.looks.append(lambda: setattr(fleet.stop, "count", 2 if fleet.now_s > 3.0 else 1))
     fleet.end, fleet.leave, told = lambda _seconds: None, lambda: None, []
     monkeypatch.setattr(flights, "end", lambda *_: None)
-    monkeypatch.setattr(flights, "land_left_behind", lambda *of: told.append((of[1], of[2]())))
+    monkeypatch.setattr(
+        emergency_stop, "land_left_behind", lambda *of: told.append((of[1], of[2]()))
+    )
     for bridge in fleet.bridges:
         bridge.exit_code = None
     fleet.supervisor.end()
@@ -306,7 +308,7 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
     fleet.answer = "the leader does not answer /formation/land"
     told = []
     monkeypatch.setattr(
-        flights, "order_landing", lambda *of: told.append(of) or ["bridge1: silent"]
+        emergency_stop, "order_landing", lambda *of: told.append(of) or ["bridge1: silent"]
     )
     fleet.end_at(1.0, fleet.bridges[0])
     fleet.supervisor._land()
@@ -321,7 +323,7 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
 def test_a_start_that_is_refused_before_the_uavs_exist_waits_for_no_leader(monkeypatch, tmp_path):
     """It waited for 3 s until the service /formation/land of nobody was there."""
     fleet, told = Fleet(monkeypatch, tmp_path, "bridge1"), []
-    monkeypatch.setattr(flights, "order_landing", lambda *of: told.append(of) or [])
+    monkeypatch.setattr(emergency_stop, "order_landing", lambda *of: told.append(of) or [])
     fleet.supervisor._crew.children.remove(fleet.uavs[0])
     fleet.end_at(0.2, fleet.bridges[0])
     fleet.supervisor._land()
@@ -331,7 +333,7 @@ def test_a_start_that_is_refused_before_the_uavs_exist_waits_for_no_leader(monke
 @pytest.mark.ros
 def test_a_leader_that_answers_is_enough(monkeypatch, tmp_path):
     fleet = Fleet(monkeypatch, tmp_path, "bridge1")
-    monkeypatch.setattr(flights, "order_landing", pytest.fail)
+    monkeypatch.setattr(emergency_stop, "order_landing", pytest.fail)
     fleet.end_at(1.0, fleet.bridges[0])
     fleet.supervisor._land()
     assert fleet.said == []

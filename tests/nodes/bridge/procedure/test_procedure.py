@@ -6,7 +6,8 @@ pytest.importorskip("pymavlink")
 
 from procedure_flight import Flight
 
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import LIFTED_M, CommandRequest, Step, Stream
 
 

@@ -8,7 +8,8 @@ pytest.importorskip("pymavlink")
 
 from procedure_flight import DT, Flight
 
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, FlightMode
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT
+from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
     AWAY_S,
     LAND_S,
