@@ -160,6 +160,18 @@ def peak_gain(duration_s: float, residual: float) -> float:
     return float(np.max(rate / (1.0 - base + residual)))
 
 
+@inline_kernel
+def homing_speed(distance: float, gain: float, deceleration: float) -> float:
+    """Largest speed [m/s] towards a place `distance` [m] away: gain times it, as far as that can be braked.
+
+    Beyond deceleration / gain^2 the speed is sqrt(2 a (distance - a / (2 gain^2))), whose braking is constant.
+    """
+    near = deceleration / max(gain * gain, 1e-9)
+    if distance <= near:
+        return gain * distance
+    return math.sqrt(2.0 * deceleration * (distance - 0.5 * near))
+
+
 @kernel
 def feasible_deadline(error_m: float, max_speed: float, max_acceleration: float) -> float:
     """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2], from the peaks of h_dot and h_ddot.

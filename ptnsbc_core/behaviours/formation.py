@@ -18,12 +18,12 @@ from ptnsbc_core.curves.turned import plus_scaled, start_of, turned_step
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry, evaluate, task_error
-from ptnsbc_core.tasks.near_constraints import homing_speed
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import (
     Clock,
     fallback_gain,
     h,
+    homing_speed,
     plan_duration,
     step_gain,
     task_rate,

@@ -1,10 +1,11 @@
 """The controller for a vehicle with one thrust along body z: the force part becomes thrust and attitude.
 
-    f = m_hat (a_r + g e_z) + m_0 (-G v~ - delta_hat sat(v~ / width) - d_hat),  T = |f| within the tilt limit
+    f = m_hat (a_r + g e_z - G v~ - delta_hat sat(v~ / width) - d_hat),  T = |f| within the tilt limit
     R_d: body z along f, the heading kept;  w_r = gains log(R^T R_d), as far as the torques can brake
     tau = -(I_hat w) x w_r + I_0 (-G w~ - delta_hat sat(w~ / width)),  w~ = w - w_r
 
-v~ = v - v_r is in the world frame, w~ in the body frame. Force part and rate loop are those of (49), docs/method.md.
+v~ = v - v_r is in the world frame, w~ in the body frame. Force part and rate loop are those of (49), docs/method.md,
+but for the mass before the feedback: m_0 would give a light vehicle the gain G m_0 / m, too much for its attitude.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from ptnsbc_core.control.rigid_body_control import (
 )
 from ptnsbc_core.kernel import formula, inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation
-from ptnsbc_core.timebase import Clock
+from ptnsbc_core.timebase import Clock, homing_speed
 from ptnsbc_core.types import (
     AdaptationState,
     Array,
@@ -52,7 +53,8 @@ from ptnsbc_core.types import (
 )
 
 _BRAKING_FRACTION = 0.5
-"""Fraction of the torque that the rate reference may use for braking; the rest is for the rate loop."""
+"""Fraction of the torque that the rate reference may use for braking. It has to be below 1 / (1 + gain T): the rate is
+late by the lag T of its loop, so it is too large by the braking times T where the reference becomes proportional."""
 
 MIN_LIFT_FRACTION = 0.3
 """Least vertical specific force, as a fraction of gravity: without thrust a quadrotor cannot steer."""
@@ -118,18 +120,18 @@ def attitude_error(present: Array | Matrix3, desired: Array | Matrix3) -> Vector
 def _axis_rate(
     error: float, gain: float, axis: int, max_rate: float, config: ControllerConfig
 ) -> float:
-    braking = _BRAKING_FRACTION * config.max_torque[axis] / config.nominal.inertia[axis]
-    limit = min(max_rate, math.sqrt(2.0 * braking * abs(error)))
-    return min(max(gain * error, -limit), limit)
+    heaviest = (1.0 + config.mass_range) * config.nominal.inertia[axis]
+    braking = _BRAKING_FRACTION * config.max_torque[axis] / heaviest
+    return math.copysign(min(max_rate, homing_speed(abs(error), gain, braking)), error)
 
 
 @inline_kernel
 def rate_reference(error: Vector3, max_rate: float, config: ControllerConfig) -> Vector3:
-    """w_r = min(gain |e|, sqrt(2 b |e|), max_rate) sign(e) [rad/s] of each axis, e [rad] the attitude error.
+    """w_r = min(homing_speed(|e|), max_rate) sign(e) [rad/s] of each axis, e [rad] the attitude error.
 
-    b [rad/s^2] is the braking that a fraction of the largest torque gives: no rate is faster than it can be braked.
-    After a large error a proportional law alone asks for a rate that the limited torque cannot stop in time. A
-    vehicle that starts with a tilt of 1 rad then oscillates for ever.
+    It comes to rest with the braking b [rad/s^2] that a fraction of the largest torque gives the heaviest inertia
+    which the adaptation admits. A law that asks for more than the torque can brake lets a vehicle that starts with a
+    tilt of 1 rad oscillate for ever.
     """
     tilt, yaw = config.attitude_gain
     return (
@@ -157,8 +159,8 @@ def quadrotor_control(
     observer = observer_step(before.observer, velocity, clock.start_t <= 0.0, clock.dt, config)
     model = add3(command.acceleration, (0.0, 0.0, config.gravity))
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
-    correction = scale3(nominal.mass, sub3(feedback, observer.disturbance))
-    desired = add3(scale3(parameters.mass, model), correction)
+    wanted = add3(model, sub3(feedback, observer.disturbance))
+    desired = scale3(parameters.mass, wanted)
     force = limit_tilt(desired, config)
     thrust = min(norm3(force), config.max_thrust)
     cut = norm3(sub3(desired, force)) > 0.0 or norm3(force) > config.max_thrust
@@ -173,13 +175,13 @@ def quadrotor_control(
     rate_feedback = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
     rate_model = torque_model(rates, reference, zero, parameters.inertia)
     torque = saturate_torque(add3(rate_model, hadamard3(nominal.inertia, rate_feedback)), config)
-    saturated = cut or torque.saturated
     product = InertialParameters(
         dot3(model, error), torque_regressor_error(rates, reference, zero, rate_error)
     )
-    errors = (norm1(error), norm1(rate_error))
+    errors, cuts = (norm1(error), norm1(rate_error)), (cut, torque.saturated)
     predicted = DisturbanceObserver(
         observer.velocity, observer.disturbance, acceleration, observer.trend
     )
-    after = adaptation_step(before, predicted, product, errors, saturated, clock.dt, config)
+    after = adaptation_step(before, predicted, product, errors, *cuts, clock.dt, config)
+    saturated = cut or torque.saturated
     return ControlInput((0.0, 0.0, thrust), torque.value, after, saturated, norm3(error))

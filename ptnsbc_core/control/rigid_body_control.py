@@ -248,23 +248,26 @@ def adaptation_step(
     observer: DisturbanceObserver,
     product: InertialParameters,
     errors: Vector2,
-    frozen: bool,
+    force_cut: bool,
+    torque_cut: bool,
     dt: float,
     config: ControllerConfig,
 ) -> AdaptationState:
-    """Psi_hat and delta_hat after one step, from Y^T V~ and |V~|_1 of both parts; unchanged when `frozen`.
+    """Psi_hat and delta_hat after one step, from Y^T V~ and |V~|_1 of both parts.
 
-    They are frozen while an actuator is at its limit, because the error then tells nothing about the parameters.
+    They are frozen while an actuator is at its limit, because the error then tells nothing about them. Only the mass
+    goes on while it is the torque: a vehicle whose wrong mass makes it swing would never learn it.
     """
-    if frozen:
-        return AdaptationState(before.parameters, before.bound, observer)
+    parameters = adapt_parameters(before.parameters, product, dt, config)
+    if force_cut or torque_cut:
+        mass = before.parameters.mass if force_cut else parameters.mass
+        kept = InertialParameters(mass, before.parameters.inertia)
+        return AdaptationState(kept, before.bound, observer)
     bound = (
         adapt_bound(before.bound[0], errors[0], 0, dt, config),
         adapt_bound(before.bound[1], errors[1], 1, dt, config),
     )
-    return AdaptationState(
-        adapt_parameters(before.parameters, product, dt, config), bound, observer
-    )
+    return AdaptationState(parameters, bound, observer)
 
 
 @kernel
@@ -292,13 +295,14 @@ def rigid_body_control(
     rate_model = torque_model(rates, command.rates, command.rates_dot, parameters.inertia)
     force = saturate_force(axpy(nominal.mass, feedback, scale3(parameters.mass, model)), config)
     torque = saturate_torque(add3(rate_model, hadamard3(nominal.inertia, rate_feedback)), config)
-    saturated = force.saturated or torque.saturated
     product = InertialParameters(
         dot3(model, error),
         torque_regressor_error(rates, command.rates, command.rates_dot, rate_error),
     )
     errors = (norm1(error), norm1(rate_error))
-    after = adaptation_step(before, before.observer, product, errors, saturated, clock.dt, config)
+    cuts = force.saturated, torque.saturated
+    after = adaptation_step(before, before.observer, product, errors, *cuts, clock.dt, config)
+    saturated = force.saturated or torque.saturated
     return ControlInput(force.value, torque.value, after, saturated, norm3(error))
 
 

@@ -186,18 +186,6 @@ def braking_speed(room: float, deceleration: float, latency_s: float) -> float:
     return 2.0 * deceleration * room / (math.sqrt(lost * lost + 2.0 * deceleration * room) + lost)
 
 
-@inline_kernel
-def homing_speed(distance: float, gain: float, deceleration: float) -> float:
-    """Largest speed [m/s] towards a place `distance` [m] away: gain times it, as far as that can be braked.
-
-    Beyond deceleration / gain^2 the speed is sqrt(2 a (distance - a / (2 gain^2))), whose braking is constant.
-    """
-    near = deceleration / max(gain * gain, _TINY)
-    if distance <= near:
-        return gain * distance
-    return math.sqrt(2.0 * deceleration * (distance - 0.5 * near))
-
-
 @kernel
 def tangent(normal: Vector3Like) -> Vector3:
     """Unit vector along e_z x n, or e_x x n where n is nearly vertical."""

@@ -13,6 +13,7 @@ from ptnsbc_core.timebase import (
     feasible_deadline,
     h,
     h_rate,
+    homing_speed,
     loop_gain,
     peak_gain,
     plan_step,
@@ -248,3 +249,17 @@ def test_plan_step_is_one_minus_h_and_its_differences() -> None:
         assert now.left == pytest.approx(1.0 - h(k * 0.01 / 4.5), abs=1e-15)
         assert now.rate == pytest.approx((now.left - after.left) / 0.01, abs=1e-12)
         assert now.acceleration == pytest.approx((after.rate - now.rate) / 0.01, abs=1e-9)
+
+
+@given(gain=st.floats(0.3, 5.0), brake=st.floats(1.0, 20.0), far=st.floats(0.0, 30.0))
+def test_homing_is_the_gain_near_by_and_constant_braking_from_afar(
+    gain: float, brake: float, far: float
+) -> None:
+    speed = homing_speed(far, gain, brake)
+    assert speed <= gain * far + 1e-9
+    step = 1e-6
+    slope = (homing_speed(far + step, gain, brake) - speed) / step
+    assert speed * slope <= brake * (1.0 + 1e-3) + 1e-4
+    edge = brake / gain**2
+    below, above = (homing_speed(edge * share, gain, brake) for share in (1 - 1e-9, 1 + 1e-9))
+    assert below == pytest.approx(above, rel=1e-6)

@@ -75,12 +75,16 @@ def test_tilt_limit(force: np.ndarray) -> None:
 
 @given(turn=st.tuples(*[st.floats(-np.pi, np.pi)] * 3).map(np.array))
 def test_rate_reference_can_always_be_braked(turn: np.ndarray) -> None:
-    """Half the torque stops the rate within the angle that is left: w^2 <= 2 (M / 2 I) |angle|."""
+    """Half the torque on the heaviest inertia brakes it all the way: w dw/d|angle| <= M / (2 I (1 + range))."""
     rates = rate_reference(turn, 12.0, CONFIG)
-    braking = 0.5 * np.array(CONFIG.max_torque) / CONFIG.nominal.inertia
+    heaviest = (1.0 + CONFIG.mass_range) * np.array(CONFIG.nominal.inertia)
+    braking = 0.5 * np.array(CONFIG.max_torque) / heaviest
     assert np.all(np.abs(rates) <= 12.0)
-    assert np.all(rates**2 <= 2.0 * braking * np.abs(turn) * (1.0 + 1e-12) + 1e-300)
     assert np.all(rates * turn >= 0.0)
+    step = 1e-6
+    more = rate_reference(turn + step * np.sign(turn), 12.0, CONFIG)
+    asked = np.abs(rates) * (np.abs(more) - np.abs(rates)) / step
+    assert np.all(asked <= braking * (1.0 + 1e-3) + 1e-3)
 
 
 def test_rate_reference_is_proportional_near_zero() -> None:
@@ -117,11 +121,14 @@ def test_at_rest_the_first_thrust_carries_the_weight(attitude) -> None:
         assert not out.saturated
 
 
-def flown(start: np.ndarray, seconds: float, push=None, config: ControllerConfig = CONFIG):
+def flown(
+    start: np.ndarray, seconds: float, push=None, config: ControllerConfig = CONFIG, plant=None
+):
     """Tilt [rad], velocity (T, 3) and observer (T, 3) of a closed loop that asks for standstill."""
     none = six(np.zeros(6))
     push = none if push is None else six(push)
-    plant = plant_config(SCENARIO, 1)._replace(amplitude=none, phase=none, offset=push)
+    plant = plant_config(SCENARIO, 1) if plant is None else plant
+    plant = plant._replace(amplitude=none, phase=none, offset=push)
     state = start
     carried = fresh(odometry(state, plant))
     tilts, velocities, observers = [], [], []
@@ -167,6 +174,61 @@ def test_observer_keeps_the_velocity_error_of_a_push_small() -> None:
     # without it the loop's gain (and a drag of 0.1 1/s) leave push / (kappa + drag)
     assert ends[0] == pytest.approx(0.8 / (CONFIG.force.kappa + 0.1), rel=0.02)
     assert ends[1] < 1e-3
+
+
+@pytest.mark.parametrize("mass", [0.84, 1.2, 1.56])
+def test_the_gain_of_the_velocity_is_that_of_the_mass_as_estimated(mass: float) -> None:
+    """d f / d v = -m_hat G: a light vehicle has the gain G as any other one once its mass is known."""
+    own = odometry(at_rest((0.0, 0.0, 0.0)), plant_config(SCENARIO, 1))
+    known = fresh(own)._replace(parameters=CONFIG.nominal._replace(mass=mass))
+    step, thrusts = 1e-4, []
+    for sign in (1.0, -1.0):
+        out = control(own, 500, known, velocity=np.array([0.0, 0.0, sign * step]))
+        thrusts.append(out.force[2])
+    slope = (thrusts[0] - thrusts[1]) / (2.0 * step)
+    assert slope == pytest.approx(mass * CONFIG.force.kappa, rel=1e-6)
+
+
+def test_a_torque_at_its_limit_does_not_keep_the_mass_from_being_learned() -> None:
+    own = odometry(at_rest((0.0, 0.0, 0.0)), plant_config(SCENARIO, 1))
+    own[9], own[10] = 0.2, 40.0  # it climbs, so it is lighter than known
+    before = fresh(own)
+    out = control(own, 50, before)
+    assert out.saturated
+    model = CONFIG.gravity * own[9]
+    learned = CONFIG.nominal.mass - DT * CONFIG.adaptation[0] * model
+    assert out.adapted.parameters.mass == pytest.approx(learned, rel=1e-12)
+    assert out.adapted.parameters.inertia == CONFIG.nominal.inertia
+    assert out.adapted.bound == before.bound
+
+
+@pytest.mark.parametrize("heading", [2.36, 3.14, 3.93, 5.5])
+def test_a_light_and_sluggish_vehicle_comes_level_in_wind(heading: float) -> None:
+    """From a start that is tilted by 1 rad about each axis, at 3 m/s against the wind: it went on swinging for ever."""
+    plant = plant_config(SCENARIO, 1)
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    unlike = plant._replace(
+        mass=0.7 * plant.mass,
+        inertia=(plant.inertia[0], 1.3 * plant.inertia[1], plant.inertia[2]),
+        wind=8.0 * ahead,
+    )
+    start = at_rest((1.0, 1.0, 1.0))
+    start[7:10] = -3.0 * ahead
+    tilts, velocities, _ = flown(start, 5.0, plant=unlike)
+    assert np.ptp(tilts[400:]) < 0.1
+    assert np.abs(velocities[400:]).max() < 0.1
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+def test_a_wrong_mass_costs_so_much_height(scale: float) -> None:
+    """The integral of the velocity is Gamma (m_0 - m) / g, whatever the gains of the velocity loop are."""
+    config = CONFIG._replace(observer_bandwidth=0.0, bound_rate=0.0)
+    plant = plant_config(SCENARIO, 1)
+    unlike = plant._replace(mass=scale * plant.mass, drag=0.0)
+    _, velocities, _ = flown(at_rest((0.0, 0.0, 0.0)), 8.0, config=config, plant=unlike)
+    wrong = CONFIG.nominal.mass * (1.0 - scale)
+    height = wrong / CONFIG.adaptation[0] / CONFIG.gravity
+    assert DT * velocities[:, 2].sum() == pytest.approx(height, rel=0.02)
 
 
 def test_limits_are_kept_and_told() -> None:

@@ -19,7 +19,6 @@ from ptnsbc_core.tasks.near_constraints import (
     clear_velocities,
     empty_memory,
     find_slot,
-    homing_speed,
     side_of,
     tangent,
     update_memory,
@@ -73,20 +72,6 @@ def test_a_vehicle_with_this_lag_and_this_braking_never_crosses(
         room -= dt * speed
         seen.append(room)
         assert room > -1e-6
-
-
-@given(gain=st.floats(0.3, 5.0), brake=brakes, far=st.floats(0.0, 30.0))
-def test_homing_is_the_gain_near_by_and_constant_braking_from_afar(
-    gain: float, brake: float, far: float
-) -> None:
-    speed = homing_speed(far, gain, brake)
-    assert speed <= gain * far + 1e-9
-    step = 1e-6
-    slope = (homing_speed(far + step, gain, brake) - speed) / step
-    assert speed * slope <= brake * (1.0 + 1e-3) + 1e-4
-    edge = brake / gain**2
-    below, above = (homing_speed(edge * share, gain, brake) for share in (1 - 1e-9, 1 + 1e-9))
-    assert below == pytest.approx(above, rel=1e-6)
 
 
 def enters(away: np.ndarray, keep_out: float, relative: np.ndarray, horizon: float) -> bool:
