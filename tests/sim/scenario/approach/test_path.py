@@ -30,6 +30,9 @@ from ptnsbc_sim.scenario.approach.path import (
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.scenario import Scenario
 from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.sweep.family import find_family
+from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.rows import fly_draw
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.recording import recording_of
 
@@ -170,6 +173,28 @@ def test_pairs_that_are_clear_on_straight_lines_fly_straight() -> None:
         for row, uav in enumerate(scenario.uav_ids)
     }
     assert turn_of(scenario.with_(places)) == 0.0
+
+
+def test_turns_that_nearly_keep_all_clear_come_after_those_that_do_the_clearest_first() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        pairs = pairs_of(*rng.uniform(-3.0, 3.0, (2, 6, 3)), np.full(6, 0.5), 0.02)
+        shares = [float((distances(pairs, turn) / pairs.clear).min()) for turn in candidates(pairs)]
+        *turned, straight = shares
+        clear = [share for share in turned if share >= 1.0]
+        nearly = turned[len(clear) :]
+        assert nearly == sorted(nearly, reverse=True)
+        assert all(max(straight, 0.7) < share < 1.0 for share in nearly)
+
+
+@pytest.mark.parametrize(("seed", "k"), [(81, 1488), (81, 2116), (79, 519)])
+def test_draws_that_met_on_straight_paths_keep_their_distances_on_turned_ones(
+    seed: int, k: int
+) -> None:
+    family = find_family("anywhere").read_text(encoding="utf-8")
+    plan = plan_of(load_scenario("paper_5_free"), k + 1, seed=seed, family=family)
+    rows, _, _ = fly_draw(plan, k)
+    assert {row.flight_verdict for row in rows} == {"met"}
 
 
 def test_where_no_turn_keeps_all_pairs_clear_the_paths_are_straight() -> None:
