@@ -156,12 +156,16 @@ part project make_project pyproject.toml setup.py ros2_ws/shell.py
 # The messages are compiled while the packages of the other sets come.
 compiling=
 if [ $kind = plain ] && [[ " $* " == *" messages "* ]]; then
-  messages=(requirements/interfaces/*/) built=messages
-  if [[ " $* " == *" test "* ]]; then messages+=(tests/messages/*/) built=test-messages; fi
-  mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces "${messages[@]}" -type f | sort -u)
   (
     parts=()
-    part $built make_messages "${sources[@]}"
+    for built in messages test-messages; do
+      case $built in
+        messages) messages=(requirements/interfaces/*/) ;;
+        *) [[ " $* " == *" test "* ]] || continue; messages=(tests/messages/*/) ;;
+      esac
+      mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces/build.py "${messages[@]}" -type f | sort -u)
+      part $built make_messages "${sources[@]}"
+    done
     [ ${#parts[@]} = 0 ] || say "${parts[*]}"
   ) &
   compiling=$!
