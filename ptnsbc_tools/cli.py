@@ -29,7 +29,7 @@ _REPLACED = {
     "--deadline": "--set gains.formation.deadline_s=S",
 }
 """Options that are expected by another name, or were named so in earlier versions."""
-_STARTS_PROCESSES = ("fleet", "demo", "network", "view", "tune")
+_STARTS_PROCESSES = ("fleet", "demo", "network", "view")
 # All words after `reproduce` are of paper/, --help too.
 _FOREIGN = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
@@ -38,7 +38,7 @@ PANELS = {
     "Fly": "simulate:simulate simulate:sweep fleet:fleet fleet:demo",
     "A flying fleet": "flying_fleet:view flying_fleet:mission flying_fleet:stop",
     "Look at flights": "look:report look:verify simulate:compare look:plot look:export bags:bag look:reproduce",
-    "Vehicles and networks": "vehicles:bridge vehicles:tune vehicles:autopilot network:network",
+    "Vehicles and networks": "vehicles:bridge vehicles:autopilot network:network",
 }
 """The panels of `help all`: module of `ptnsbc_tools.commands`, and name in it, of each command or group of commands."""
 

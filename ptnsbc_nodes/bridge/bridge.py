@@ -57,27 +57,22 @@ class Bridge:
         ports: BridgePorts,
         allow_arming: bool,
         awaited: frozenset[int] = frozenset(),
-        *,
-        alone: bool = False,
     ) -> None:
-        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms.
-
-        `alone`: it flies for itself, without leader, formation and gains of the scenario.
-        """
-        self.ports, self._mavlink, self._alone = ports, scenario.mavlink, alone
+        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms."""
+        self.ports, self._mavlink = ports, scenario.mavlink
         vehicle_link = scenario.vehicle_link(uav_id)
         autopilot = AUTOPILOTS[vehicle_link.autopilot]
         self.vehicle = VehicleMonitor(autopilot, signed=link.signed)
         self.maintenance = LinkMaintenance(link, vehicle_link, self.vehicle)
         self.state_publisher = StatePublisher(
-            scenario, uav_id, self.vehicle, self.maintenance.sync, ports, alone=alone
+            scenario, uav_id, self.vehicle, self.maintenance.sync, ports
         )
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
         self.stream = SetpointStream(vehicle_link, scenario.mavlink, agent_config(scenario, uav_id))
         self.watch = FormationWatch(
-            scenario, uav_id, ports, self.vehicle, self.state_publisher, self.stream, alone=alone
+            scenario, uav_id, ports, self.vehicle, self.state_publisher, self.stream
         )
-        away_s = AWAY_S if scenario.formation.reconfigures and not alone else 0.0
+        away_s = AWAY_S if scenario.formation.reconfigures else 0.0
         height_m, log = scenario.mavlink.takeoff_height_m, ports.log
         self.procedure = Procedure(autopilot, height_m, allow_arming, log, away_s)
         self._told_apart = False
@@ -111,7 +106,7 @@ class Bridge:
         if self.procedure.step not in BEFORE_ARMING:
             return ""
         low = self.vehicle.battery.low(self._mavlink.battery_land_percent, self.ports.steady_s())
-        inexact = "" if self._alone else self.placement.inexact()
+        inexact = self.placement.inexact()
         return low or inexact or self.placement.misplaced()
 
     @property
@@ -184,8 +179,7 @@ class Bridge:
                 self._log(line)
             stream.take_parameters(values)
             self.ports.limits(stream.guard.limits)
-            if not self._alone:
-                self._log(stream.fit_to_vehicle())
+            self._log(stream.fit_to_vehicle())
         step, sent, error_m = procedure.step, procedure.output.stream, self.placement.error_m
         self.watch.look(now_s, step, sent, answered=answered, error_m=error_m)
         stream.layer_m = self.placement.layer_m(self.watch.middle_m, stream.guard)

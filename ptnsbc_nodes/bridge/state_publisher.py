@@ -42,11 +42,9 @@ class StatePublisher:
         vehicle: VehicleMonitor,
         sync: TimeSync,
         ports: BridgePorts,
-        *,
-        alone: bool = False,
     ) -> None:
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
-        self.world = WorldFrame(scenario, uav_id, alone=alone)
+        self.world = WorldFrame(scenario, uav_id)
         self.controller = ControllerSetpoints(decode_wrench if attitude else decode_velocity)
         self._vehicle = vehicle
         self._sync = sync
@@ -250,15 +248,13 @@ class WorldFrame:
     on the ground at its start in the scenario. The leader's bridge publishes that place for the others.
     """
 
-    def __init__(self, scenario: Scenario, uav_id: int, *, alone: bool = False) -> None:
-        """`alone`: no leader flies; this vehicle defines the world by its own start."""
+    def __init__(self, scenario: Scenario, uav_id: int) -> None:
         settings, link = scenario.mavlink, scenario.vehicle_link(uav_id)
         self._radius_m = frames.EARTH_RADIUS_M[link.autopilot]
-        self._leads = alone or uav_id == scenario.leader.id
+        self._leads = uav_id == scenario.leader.id
         self._on_ground = settings.height == "ground"
         self._surveyed = None if link.origin_m is None else np.array(link.origin_m)
-        first = uav_id if alone else scenario.leader.id
-        self._start = scenario.uav(first).position * np.array([1.0, 1.0, 0.0])
+        self._start = scenario.uav(scenario.leader.id).position * np.array([1.0, 1.0, 0.0])
         given = settings.world_origin
         self._given = given is not None
         self._reference = None if given is None else given.place

@@ -113,9 +113,9 @@ class MavlinkVehicle(Block):
     setpoint: SetpointKind | None = None
     """Kind of setpoint, for mixed fleets. Default: as above."""
     velocity_loop_1_s: Annotated[Positive, Field(le=20)] | None = None
-    """Gain of its velocity loop, as `ptnsbc tune` finds it. Default: by its parameters."""
+    """Gain of its velocity loop. Default: by its parameters."""
     tilt_lag_s: Annotated[Positive, Field(le=2)] | None = None
-    """Lag between the acceleration asked for and flown, as `ptnsbc tune` finds it. Default: by its parameters."""
+    """Lag between the acceleration asked for and flown. Default: by its parameters."""
 
 
 class Mavlink(Block):

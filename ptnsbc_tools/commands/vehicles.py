@@ -1,21 +1,16 @@
-"""Commands for single vehicles: `ptnsbc bridge` and `ptnsbc tune`, and `ptnsbc autopilot`, which stands in for them."""
+"""Commands for single vehicles: `ptnsbc bridge`, and `ptnsbc autopilot`, which stands in for them."""
 
 from __future__ import annotations
 
-import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import (
     AllowArmingOption,
-    DomainOption,
-    JsonOption,
     SetOption,
     argument,
     option,
@@ -23,7 +18,6 @@ from ptnsbc_tools.options import (
 )
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.bridge.hover_test import Identified, Settings
     from ptnsbc_sim.scenario import Scenario
 
 _EXAMPLE = "experiment_4"
@@ -78,108 +72,6 @@ def bridge(vehicle: Vehicle) -> None:
         allow_arming=vehicle.allow_arming,
     )
     sys.exit(code)
-
-
-def tune(
-    vehicle: Vehicle,
-    box: Annotated[
-        float, option("--box M", "Side of the box that the vehicle may use.", 0.0, _FARTHEST_M)
-    ] = 3.0,
-    alike: Annotated[
-        bool, option("--alike", "Write the result for all vehicles with the same autopilot.")
-    ] = False,
-    output: Annotated[
-        Path | None, option("--output -o FILE", "Scenario file to write, which extends SCENARIO.")
-    ] = None,
-    overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
-    json: JsonOption = False,
-    domain: DomainOption = None,
-) -> None:
-    """Identify how one vehicle follows velocities in a hover test, and print the settings that fit it.
-
-    The vehicle takes off, flies sinusoids within a box over about a minute, and lands. It lands at once
-    outside of its box, at the fence, and at Ctrl-C; a pilot who takes over keeps it.
-    """
-    with ros.required(_INSTALL):
-        from ptnsbc_nodes.bridge.hover_test import fly_hover_test
-        from ptnsbc_nodes.bridge.hover_test import settings as fitting
-    ros.select_network(None, domain)
-    if output is not None and output.exists() and not overwrite:
-        raise PtnsbcError(f"{output}: exists: choose another name, or --overwrite")
-    uav, flown = vehicle.uav, vehicle.flown()
-    found = fly_hover_test(
-        flown, uav, vehicle.signing_key, console.say, allow_arming=vehicle.allow_arming, box_m=box
-    )
-    fits = fitting(flown, found)
-    for line in _lines(flown, found, fits):
-        console.say(line)
-    kind, response = flown.vehicle_link(uav).autopilot, found.response
-    uavs = [i for i in flown.uav_ids if alike and flown.vehicle_link(i).autopilot == kind] or [uav]
-    keys = {  # the `mavlink` block that makes the scenario fit
-        "overrides": {
-            **flown.mavlink.overrides,
-            "gains.formation.kappa_1_s": round(fits.kappa_1_s, 2),
-            "gains.formation.residual": float(f"{fits.residual:.2g}"),
-            "gains.formation.deadline_s": fits.deadline_s,
-            "gains.filter.bandwidth_1_s": fits.filter_1_s,
-        },
-        "vehicles": {
-            i: {
-                "velocity_loop_1_s": round(response.gain, 3),
-                "tilt_lag_s": round(response.tilt_lag_s, 3),
-            }
-            for i in uavs
-        },
-    }
-    if output is not None:
-        _write(output, vehicle.scenario, keys, found)
-        console.say(f"next: ptnsbc fleet {output} --backend mavlink --allow-arming")
-    if json:
-        points = [{"hertz": p.hertz, "gain": p.gain, "lag_s": p.lag_s} for p in found.points]
-        console.print_json({"points": points, "settings": fits._asdict(), "keys": keys})
-
-
-def _lines(scenario: Scenario, found: Identified, fits: Settings) -> Iterator[str]:
-    for point in found.points:
-        model = found.expected(point.hertz)
-        yield (
-            f"{point.hertz:g} Hz: gain {point.gain:.2f}, lag {point.lag_s:.2f} s "
-            f"(model {model.gain:.2f}, {model.lag_s:.2f} s)"
-        )
-    response, own = found.response, scenario.gains.formation
-    yield (
-        f"velocity loop {response.gain:.2f} 1/s, lag of the tilt {response.tilt_lag_s:.2f} s, "
-        f"drag {found.drag_1_s:.2f} 1/s, link {1e3 * found.delay_s:.0f} ms"
-    )
-    yield (
-        f"gains.formation.kappa_1_s: {fits.kappa_1_s:.2g} instead of {own.kappa_1_s:g}, "
-        f"up to {fits.largest_kappa_1_s:.1f} fits"
-    )
-    yield f"gains.formation.residual: {fits.residual:.2g} instead of {own.residual:g}"
-    yield f"gains.filter.bandwidth_1_s: {fits.filter_1_s:g} instead of {scenario.gains.filter.bandwidth_1_s:g}"
-    yield (
-        f"gains.formation.deadline_s: {fits.deadline_s:g} instead of {own.deadline_s:g}, "
-        f"from {fits.shortest_deadline_s:g} s on fits"
-    )
-
-
-def _write(path: Path, base: str, keys: Mapping[str, Any], found: Identified) -> None:
-    """A scenario file that extends the one that was given."""
-    from ptnsbc_io.files import replacing
-    from ptnsbc_sim.scenario.reading.reader import dump, find
-
-    source = find(base)
-    if source.resolve() == path.resolve():
-        raise PtnsbcError(f"{path}: is the scenario itself: expected another file")
-    built_in = os.sep not in base and not Path(base).suffix
-    named = base if built_in else os.path.relpath(source, path.parent)
-    measured = "".join(
-        f"# {point.hertz:g} Hz: gain {point.gain:.2f}, lag {point.lag_s:.2f} s\n"
-        for point in found.points
-    )
-    with replacing(path, folder=True) as part:
-        text = f"# By ptnsbc tune: how the vehicle follows a velocity.\n{measured}"
-        part.write_text(text + dump({"extends": named, "mavlink": keys}), encoding="utf-8")
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,6 @@ TIMED = (
     ("check", "paper_5", "--runs"),
     *((*words, "--tolerance") for words in READERS),
     ("compare", SAMPLE, SAMPLE, "--margin"),
-    ("tune", "--uav", "1", "--box"),
     ("stop", "--patience"),
     ("autopilot", "--origin-spread"),
     ("autopilot", "--yaw"),

@@ -259,13 +259,11 @@ class FormationWatch:
         vehicle: VehicleMonitor,
         state: StatePublisher,
         stream: SetpointStream,
-        *,
-        alone: bool,
     ) -> None:
         self.reference = LeaderReference(scenario, uav_id)
         self.reference.place_velocity(0.0)  # compiled or loaded now, not in flight
         self._monitor = FlightMonitor(scenario.mavlink.abort)
-        self._scenario, self._ports, self._alone = scenario, ports, alone
+        self._scenario, self._ports = scenario, ports
         self._vehicle, self._state, self._stream = vehicle, state, stream
         self.hazard = ""
         """Reason for which the formation must be given up; it stays."""
@@ -283,7 +281,7 @@ class FormationWatch:
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
             return
         flight_s = self.reference.flight_s(self._ports.ros_ns())
-        in_flight = step is not Step.AIRBORNE and not self._alone
+        in_flight = step is not Step.AIRBORNE
         follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         velocity = self._state.velocity
@@ -295,7 +293,7 @@ class FormationWatch:
             self.reference.place_velocity(flight_s) if follows else np.zeros(3),
             self._wanted(odometry, velocity) if sent is Stream.PLANNER else None,
             self._ports.inputs.near_uavs,
-            flight_s - deadline_s if follows or self._alone else -1.0,
+            flight_s - deadline_s if follows else -1.0,
             self.reference.places(flight_s) if follows else None,
             error_m,
             answered,

@@ -259,7 +259,8 @@ class Following(NamedTuple):
             return ""
         return (
             f"flies the wanted velocities with gain {self.gain:.2f}, {self.lag_s:.2f} s late: expected "
-            f"{1.0 - _GAIN_OFF:g} to {1.0 + _GAIN_OFF:g} and at most {_LAG_OFF_S:g} s; ptnsbc tune finds what fits"
+            f"{1.0 - _GAIN_OFF:g} to {1.0 + _GAIN_OFF:g} and at most {_LAG_OFF_S:g} s: "
+            "set velocity_loop_1_s and tilt_lag_s of its vehicle"
         )
 
 
