@@ -17,6 +17,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import ros
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings, judge
+from ptnsbc_tools.library.flying import ScenarioLike, load
 
 _LEAST_PYTHON, _NEXT_PYTHON = (3, 10), (3, 14)
 _LEAST_FREE_B = 2_000_000_000
@@ -133,10 +134,10 @@ def ports(scenario: Scenario) -> Findings:
             yield Finding(INFO, f"port of UAV {uav}", f"{rest} is free", "free", "")
 
 
-def examine(scenario: Scenario | None = None) -> list[Finding]:
+def examine(scenario: ScenarioLike | None = None) -> list[Finding]:
     """The findings, errors first; with a scenario the ports of its bridges too."""
     looks = (_machine, _middleware, _cache, _libraries)
     found = [finding for look in looks for finding in look()]
-    found += ports(scenario) if scenario is not None else ()
+    found += ports(load(scenario)) if scenario is not None else ()
     rank = {ERROR: 0, WARNING: 1, INFO: 2}
     return sorted(found, key=lambda one: rank[one.severity])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
@@ -11,6 +13,7 @@ LONGEST_S = 1e6  # as timing.duration_s
 FASTEST_HZ = 1e4
 LARGEST_MB = 1e6
 MOST_RUNS = 1_000_000
+LARGEST_SEED = 10**18
 DRY_RUNS = 20  # perturbed flights before a flight
 SHORTEST_WINDOW_S = 0.01
 FINEST_M, FARTHEST_M = 1e-6, 1e6
@@ -18,6 +21,13 @@ FINEST_M, FARTHEST_M = 1e-6, 1e6
 
 class LimitError(PtnsbcError):
     """A value outside the range in which it has a meaning."""
+
+
+def path_of(name: str, value: Any) -> Path:
+    """The path in an argument; LimitError when it is none."""
+    if not isinstance(value, str | PathLike):
+        raise LimitError(f"{name}: {value!r:.40}: expected a path")
+    return Path(value)
 
 
 def refuse_outside(name: str, value: Any, low: float = 0.0, high: float = LONGEST_S) -> None:
@@ -29,5 +39,6 @@ def refuse_outside(name: str, value: Any, low: float = 0.0, high: float = LONGES
     whole = "a whole number, " if kind is Integral else ""
     if value is None or (isinstance(value, kind) and low <= value <= high):
         return
-    given = f"{value:g}" if isinstance(value, Real) else repr(value)
+    plain = isinstance(value, int | float) and -1e300 < value < 1e300
+    given = f"{value:g}" if plain else repr(value)[:40]
     raise LimitError(f"{name}: {given}: expected {whole}{low:g} to {high:g}")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io import wire
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.mcap_file import BagMessage, Contents, Damage
 from ptnsbc_io.bag.metadata import (
@@ -22,21 +23,13 @@ from ptnsbc_io.bag.metadata import (
     DamagedError,
     read_metadata,
 )
-from ptnsbc_io.wire import (
-    WireError,
-    decode_diagnostics,
-    decode_header,
-    decode_odometry,
-    decode_velocity,
-    decode_wrench,
-)
 
 _DECODERS: Mapping[str, Callable[[bytes], object]] = {
-    "diagnostic_msgs/msg/DiagnosticArray": decode_diagnostics,
-    "geometry_msgs/msg/TwistStamped": decode_velocity,
-    "geometry_msgs/msg/WrenchStamped": decode_wrench,
-    "nav_msgs/msg/Odometry": decode_odometry,
-    "std_msgs/msg/Header": decode_header,
+    "diagnostic_msgs/msg/DiagnosticArray": wire.decode_diagnostics,
+    "geometry_msgs/msg/TwistStamped": wire.decode_velocity,
+    "geometry_msgs/msg/WrenchStamped": wire.decode_wrench,
+    "nav_msgs/msg/Odometry": wire.decode_odometry,
+    "std_msgs/msg/Header": wire.decode_header,
 }
 _FILE_NUMBER = re.compile(r"_(\d+)\.mcap$")
 
@@ -238,7 +231,7 @@ def _is_readable(message: BagMessage, topics: Mapping[str, BagTopic]) -> bool:
     """Whether a message decodes, of the types that verdicts and re-runs read."""
     try:
         _DECODERS.get(topics[message.topic].type, bytes)(message.data)
-    except WireError:
+    except wire.WireError:
         return False
     return True
 

@@ -110,7 +110,7 @@ class Scenario(ScenarioFile):
             raise ScenarioError(
                 f"with_: {shown(keys)}: expected values by dotted key, as in {{'seed': 3}}"
             )
-        changes = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
+        changes = {str(key): reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
         return scenario_from_text(self.text, changes, source=self.source)
 
     def shares_all_but_starts(self, other: Scenario) -> bool:

@@ -26,6 +26,7 @@ from ptnsbc_io.bag.metadata import DamagedError, offered_profiles
 from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
+from ptnsbc_tools.limits import path_of
 from ptnsbc_tools.reading.bag_reader import scenario_of
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
@@ -61,7 +62,7 @@ def repair(
         bag: folder of the bag, the .part of a killed recording, or an .mcap file.
         output: folder of the repaired bag; by default as said above.
     """
-    path = Path(os.path.abspath(bag))
+    path = Path(os.path.abspath(path_of("bag", bag)))
     part = path.with_name(path.name + ".part")
     source = part if not path.exists() and part.exists() else path
     if not source.exists():
@@ -69,7 +70,7 @@ def repair(
     if output is None:
         name = source.name.removesuffix(".part")
         output = source.with_name(name if source.is_dir() else f"{source.stem}.repaired")
-    target = Path(os.path.abspath(output))
+    target = Path(os.path.abspath(path_of("output", output)))
     # Where the source goes when the target takes its name.
     moved = source.with_name(source.name + ".original") if target == source else None
     if (moved or target).exists():
@@ -173,9 +174,9 @@ def rerun(
         PluginError: the scenario names a plug-in, and none is given.
         BagError: no bag, or none that can be run again.
     """
-    path = Path(bag)
+    path = path_of("bag", bag)
     found = read_bag(path)
-    flown = scenario_of(found, None if scenario is None else Path(scenario))
+    flown = scenario_of(found, None if scenario is None else path_of("scenario", scenario))
     flown = _trusted(path, flown, plugins)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_fleet

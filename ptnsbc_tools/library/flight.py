@@ -20,6 +20,7 @@ from ptnsbc_sim.verdict import Recording, Track, Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import Instants, require_all_uavs, tolerance_of, whole
 from ptnsbc_tools import ros
+from ptnsbc_tools.limits import path_of
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.plotting import draw
 from ptnsbc_tools.plotting.charts import CHARTS, Chart, FlightView, view_of
@@ -276,10 +277,10 @@ class Flight(FlightArrays):
         if what is not None:
             with draw.sized(columns):
                 figure = draw.figure_of(self._chart(what), self.scenario.name, columns)
-                return draw.save(figure, Path(path))
+                return draw.save(figure, path_of("path", path))
         limit_m = tolerance_of(self.recording, self.tolerance_m)
         shown = FlightView(self.recording, StatusSeries(), limit_m, self.verdict, "", self.bag)
-        return draw.draw_flight(shown, Path(path))
+        return draw.draw_flight(shown, path_of("path", path))
 
     def save(
         self,
@@ -297,7 +298,9 @@ class Flight(FlightArrays):
 
         if self.headless is None:
             raise FlightError(f"save: the flight is in a bag already: {self.bag}")
-        written = write_flight(self.headless, Path(folder), overwrite=overwrite, progress=progress)
+        written = write_flight(
+            self.headless, path_of("folder", folder), overwrite=overwrite, progress=progress
+        )
         return replace(self, bag=written)
 
     def _word(self) -> str:
@@ -320,6 +323,9 @@ def new_axes() -> Axes:
     return pyplot.subplots(layout="constrained")[1]
 
 
-def flight_in(bag: Path, options: ReadOptions = AS_RECORDED) -> Flight:
-    """The flight in a bag; BagError when there is none, or it is cut, damaged, or without a scenario."""
-    return Flight(read_recording(bag, options), options.tolerance_m, bag)
+def flight_in(bag: Flight | str | Path, options: ReadOptions = AS_RECORDED) -> Flight:
+    """The flight in a bag, or this one; BagError when there is none, or it is cut, damaged, or without a scenario."""
+    if isinstance(bag, Flight):
+        return bag
+    path = path_of("bag", bag)
+    return Flight(read_recording(path, options), options.tolerance_m, path)

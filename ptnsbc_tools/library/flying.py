@@ -19,7 +19,7 @@ from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, CheckReport
 from ptnsbc_tools.check import check as findings_of
 from ptnsbc_tools.library.flight import Flight, flight_in
-from ptnsbc_tools.limits import DRY_RUNS, FARTHEST_M, FINEST_M, MOST_RUNS, refuse_outside
+from ptnsbc_tools.limits import DRY_RUNS, FARTHEST_M, FINEST_M, MOST_RUNS, path_of, refuse_outside
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
 from ptnsbc_tools.reading.bag_reader import read_status
 
@@ -137,20 +137,23 @@ def read_bag(
         TopicPatternError: topics or origins that name no UAV.
         LimitError: a window or an epoch that no bag reaches, or a tolerance that is none.
     """
-    given = None if scenario is None else Path(scenario)
+    given = None if scenario is None else path_of("scenario", scenario)
     sources = odom, wrench, list(mapped), frame, list(origins)
     options = ReadOptions(given, tolerance_m, window_s, *sources, epoch_s)
-    return flight_in(Path(path), options)
+    return flight_in(path, options)
 
 
-def verdict(flight: Flight, tolerance_m: float | None = None, *, strict: bool = False) -> Verdict:
-    """The verdict on a flight, as `ptnsbc verify`; VerdictError when the recording cannot be judged.
+def verdict(
+    flight: Flight | str | Path, tolerance_m: float | None = None, *, strict: bool = False
+) -> Verdict:
+    """The verdict on a flight, or on that of a bag, as `ptnsbc verify`; VerdictError when it cannot be judged.
 
     Args:
         tolerance_m: limit of the error at the deadline; by default as the flight says.
         strict: UAVs that gave way and came late have missed.
     """
     refuse_outside("tolerance_m", tolerance_m, FINEST_M, FARTHEST_M)
+    flight = flight_in(flight)
     judged = flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
     return judged.strict() if strict else judged
 
@@ -184,7 +187,7 @@ def fly_fleet(
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc.fly"):
         from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
     with ExitStack() as stack:
-        kept = None if bag is None else Path(bag)
+        kept = None if bag is None else path_of("bag", bag)
         folder = kept or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "bag"
         flown = run_fleet(
             FleetOptions(scenario, lockstep=lockstep, bag=folder, overwrite=overwrite)

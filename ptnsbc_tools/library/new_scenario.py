@@ -20,7 +20,7 @@ from ptnsbc_sim.scenario import scenario_from_text
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.mission.trajectories import extremes, trajectory_of
 from ptnsbc_sim.scenario.problems import similar
-from ptnsbc_tools.limits import refuse_outside
+from ptnsbc_tools.limits import path_of, refuse_outside
 
 SCHEMA = Path(scenario.__file__).with_name("scenario.schema.json")
 """The schema that the modeline of a scenario file names."""
@@ -144,7 +144,7 @@ def new(
         ScenarioError: a trajectory that is none.
         OutputFileError: the file cannot be written.
     """
-    given = Path(file)
+    given = path_of("file", file)
     if not given.name:
         raise NewScenarioError(f'"{file}": expected a name, or a file NAME.yaml')
     path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")

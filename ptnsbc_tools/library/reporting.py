@@ -15,8 +15,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import read_bag
 from ptnsbc_io.files import replacing
 from ptnsbc_tools.library.flight import Flight, flight_in
+from ptnsbc_tools.limits import path_of
 from ptnsbc_tools.options import AS_RECORDED, ReadOptions
-from ptnsbc_tools.plotting.charts import FlightView
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
@@ -56,23 +56,17 @@ def report(
     """
     from ptnsbc_tools.report.page import page as page_of
 
-    bag = flight.bag if isinstance(flight, Flight) else Path(flight)
-    shown = _view_of(flight, options)
+    flown = flight_in(flight, options)
+    bag, shown = flown.bag, flown.view
     beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
-    target = beside_bag if folder is None else Path(folder)
-    beside = None if other is None else _view_of(other, options)
+    target = beside_bag if folder is None else path_of("folder", folder)
+    beside = None if other is None else flight_in(other, options).view
     metadata = {"mode": "headless"} if bag is None else read_bag(bag).metadata
     page, text = target / "index.html", page_of(shown, metadata, beside)
     with replacing(page, folder=True) as part:
         part.write_text(text, encoding="utf-8")
     word = None if shown.verdict is None else shown.verdict.verdict
     return Report(page, word, shown.problem)
-
-
-def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
-    if isinstance(flight, Flight):
-        return flight.view
-    return flight_in(Path(flight), options).view
 
 
 def checked(path: Path) -> Path:
@@ -87,14 +81,18 @@ def checked(path: Path) -> Path:
     return path
 
 
-def export(source: Flight | Sweep, file: str | Path) -> Path:
-    """Write a flight or a sweep into FILE.csv or FILE.parquet, as `ptnsbc export`, and return the file.
+def export(source: Flight | Sweep | str | Path, file: str | Path) -> Path:
+    """Write a flight, or that of a bag, or a sweep into FILE.csv or FILE.parquet, as `ptnsbc export`; return the file.
 
     PtnsbcError when there is no such format; OutputFileError when the file cannot be written.
     """
     from arro3.io import write_csv, write_parquet
 
-    path = checked(Path(file))
+    path = checked(path_of("file", file))
+    if not isinstance(source, Flight):
+        from ptnsbc_tools.library.sweeping import Sweep
+
+        source = source if isinstance(source, Sweep) else flight_in(source)
     table = table_of(source)
     with replacing(path, folder=True) as part:
         if path.suffix.lower() == ".csv":

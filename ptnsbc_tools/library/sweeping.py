@@ -23,7 +23,7 @@ from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.library.flight import Flight, new_axes
 from ptnsbc_tools.library.flying import ScenarioLike, fly, load
-from ptnsbc_tools.limits import MOST_RUNS, refuse_outside
+from ptnsbc_tools.limits import LARGEST_SEED, MOST_RUNS, path_of, refuse_outside
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.summary import Column, FlightTable, FlownSweep, Share, read_sweep, table_of
@@ -121,7 +121,7 @@ def plan(
     **rest: Any,
 ) -> SweepPlan:
     """The flights of a sweep; the arguments are those of `sweep`, `rest` are further fields of SweepPlan."""
-    refuse_outside("runs", runs, 1, MOST_RUNS)
+    refuse_outside("runs", runs or 0, 1, MOST_RUNS)
     if isinstance(vary, Mapping):
         vary = [f"{key}={values}" for key, values in vary.items()]
     text = ""
@@ -199,6 +199,10 @@ def sweep(
         LimitError: fewer than one or more than a million `runs`.
         SweepError: a draw that cannot be, another sweep in the folder, or no draw could be flown.
     """
+    refuse_outside("seed", seed, 0, LARGEST_SEED)
+    refuse_outside("stop_after_s", stop_after_s)
+    refuse_outside("dry_runs", dry_runs, 0, MOST_RUNS)
+    refuse_outside("workers", workers, 1, MOST_RUNS)
     flown = plan(
         load(scenario),
         runs,
@@ -210,7 +214,7 @@ def sweep(
         check=dry_runs,
     )
     with tempfile.TemporaryDirectory(prefix="ptnsbc-") as temporary:
-        place = Path(temporary) / "sweep" if folder is None else Path(folder)
+        place = Path(temporary) / "sweep" if folder is None else path_of("folder", folder)
         fly_plan(flown, place, workers=workers, progress=progress)
         return Sweep(read_sweep(place))
 
@@ -220,7 +224,7 @@ def open_sweep(folder: str | Path, *, strict: bool = False) -> Sweep:
 
     `strict`: UAVs that gave way and came late have missed.
     """
-    return Sweep(read_sweep(Path(folder), strict=strict))
+    return Sweep(read_sweep(path_of("folder", folder), strict=strict))
 
 
 def compare(
@@ -244,6 +248,8 @@ def compare(
     Raises:
         ComparisonError: the sweeps draw differently, a flight beside a sweep, or a bag that lacks a UAV.
     """
+    refuse_outside("margin_m", margin_m)
+    refuse_outside("seed", seed, 0, LARGEST_SEED)
     if not 0 < len(others) <= len(set(names)):
         raise comparison.ComparisonError(
             f"{len(others)} others: expected one or more, with as many names"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ptnsbc
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_tools.check import CheckError
 from ptnsbc_tools.library.flying import check, fly, load, read_bag, verdict
@@ -45,6 +48,37 @@ def test_what_is_no_scenario_is_refused_in_words() -> None:
             fly(value)  # type: ignore[arg-type]
     with pytest.raises(ScenarioError, match='with_: "a=1": expected values by dotted key'):
         load("paper_5").with_("a=1")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        *(
+            (partial(function, None), "None: expected a path")
+            for function in (
+                ptnsbc.read_bag,
+                ptnsbc.verdict,
+                ptnsbc.report,
+                ptnsbc.open_sweep,
+                ptnsbc.rerun,
+                ptnsbc.repair,
+                ptnsbc.new,
+                partial(ptnsbc.export, file="a.csv"),
+            )
+        ),
+        (partial(ptnsbc.verdict, "bags/sample", 10**400), "tolerance_m: 1000000"),
+        (partial(ptnsbc.doctor, "paper5"), 'did you mean "paper_5"'),
+        (partial(ptnsbc.sweep, "paper_5", None), "runs: 0: expected a whole number, 1 to"),
+        (partial(ptnsbc.sweep, "paper_5", seed="x"), "seed: 'x': expected a whole number, 0 to"),
+        (partial(ptnsbc.sweep, "paper_5", workers=0), "workers: 0: expected a whole number, 1 to"),
+        (partial(ptnsbc.sweep, "paper_5", stop_after_s="x"), "stop_after_s: 'x': expected 0 to"),
+        (partial(ptnsbc.compare, 1, 2, margin_m=-1), "margin_m: -1: expected 0 to"),
+        (partial(ptnsbc.load("paper_5").with_, {1: 2}), "1: unknown key"),
+    ],
+)
+def test_what_is_no_argument_is_named(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(ptnsbc.PtnsbcError, match=words):
+        call()
 
 
 def test_the_check_says_ok_or_refuses() -> None:
@@ -89,4 +123,5 @@ def test_a_warning_of_the_check_is_a_python_warning() -> None:
 def test_the_sample_bag() -> None:
     flight = read_bag("bags/sample", window_s=2.0)
     assert flight.time_s[-1] <= 2.0
+    assert verdict("bags/sample").verdict == "met"
     assert flight.bag is not None and flight.uavs == flight.scenario.uav_ids
