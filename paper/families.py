@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from docs.make.shares import DATA, FAMILIES
 from paper.experiment_result import rounded
 from paper.report import commit
@@ -25,10 +27,12 @@ from ptnsbc_sim.sweep.dry_run import ACCEPTED
 from ptnsbc_sim.sweep.rows import MARGINS
 from ptnsbc_sim.sweep.runner import run
 from ptnsbc_sim.sweep.search import NO_MARGIN, Found, search
+from ptnsbc_sim.verdict.deadline import VIOLATED
 from ptnsbc_tools import console
 from ptnsbc_tools.library.sweeping import plan
 from ptnsbc_tools.sweeps.summary import FlownSweep, read_sweep, share_of
 
+FLOWN = ("ptnsbc_core", "ptnsbc_sim", "scenarios")
 SEED, CHECK = 4801, 20
 RUNS, FLIGHTS, LEAST = 500, 20_000, 1e-4
 PARTS = ("search", "rare", "sweep")
@@ -48,23 +52,30 @@ def _least(margins: Array) -> list[float | None]:
 
 
 def swept(sweep: FlownSweep) -> dict[str, Any]:
-    """The shares of a sweep: accepted, and of these met, in place, and inside a keep-out; of all, met."""
-    flights = sweep.table.flights
-    accepted = flights.check == ACCEPTED
+    """The shares of a sweep: accepted, and of these met, in place, and inside a keep-out; their closest pair [m].
+
+    Without dry runs nothing is said of *accepted*, and the others are of all.
+    """
+    flights, asked = sweep.table.flights, bool(sweep.plan.check)
+    accepted = flights.check == (ACCEPTED if asked else "")
     shares = {
         "accepted": share_of(accepted),
         "met": share_of(flights.met[accepted]),
         "in_place": share_of(flights.in_place[accepted]),
-        "met_of_refused": share_of(flights.met[~accepted]),
+        "inside_keep_out": share_of((flights.verdict == VIOLATED)[accepted]),
     }
-    return {name: one.as_json() for name, one in shares.items()}
+    found: dict[str, Any] = {name: one.as_json() for name, one in shares.items()}
+    closest = sweep.table.of_flights("closest_uav_m")[accepted]
+    found["closest_uav_m"] = float(np.min(closest, initial=np.inf))
+    return found if asked else {**found, "accepted": None}
 
 
-def fly(family: str, part: str, folder: Path, flights: int, workers: int) -> dict[str, Any]:
+def fly(family: str, part: str, given: argparse.Namespace) -> dict[str, Any]:
     """The figures of a part of a family, flown into a folder of its own, or read from there."""
-    runs = flights if part == "search" else RUNS
-    draws = plan(load_scenario("paper_5_free"), runs, family=family, seed=SEED, check=CHECK)
-    place = folder / family / part
+    runs, workers = given.flights if part == "search" else RUNS, given.workers
+    base = load_scenario("paper_5_free")
+    draws = plan(base, runs, family=family, seed=SEED, check=given.check)
+    place = given.output / family / (part if given.check == CHECK else f"{part}-{given.check}")
     with console.progress(f"{family}, {part}") as progress:
         if part == "sweep":
             run(draws, place, workers=workers, progress=progress)
@@ -84,14 +95,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("families", nargs="*", help=f"default: {' '.join(FAMILIES)}")
     parser.add_argument("--output", "-o", type=Path, default=Path("out/families"), metavar="DIR")
     parser.add_argument("--flights", type=int, default=FLIGHTS, help="of each search")
+    parser.add_argument("--check", type=int, default=CHECK, help="flights of each dry run")
     parser.add_argument("--part", choices=PARTS, action="append", help="this part alone")
     parser.add_argument("--workers", "-j", type=int, default=2)
     given = parser.parse_args(arguments)
     try:
         for family in given.families or FAMILIES:
             for part in given.part or PARTS:
-                found = fly(family, part, given.output, given.flights, given.workers)
-                _keep(family, {part: {**found, "seed": SEED, "commit": commit()}})
+                about = {"seed": SEED, "check": given.check, "commit": commit(FLOWN)}
+                _keep(family, {part: {**fly(family, part, given), **about}})
     except PtnsbcError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

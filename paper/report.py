@@ -69,12 +69,12 @@ class Origin:
         return cls(command, commit(), _digest(), "; ".join(seeds))
 
 
-def commit() -> str:
-    """Commit of the checkout, with `+` when its code was changed since; `unknown` without one."""
-    found = _git("rev-parse", f"--short={_SHORT}", "HEAD")
+def commit(code: Sequence[str] = _CODE) -> str:
+    """The newest commit that changed these folders, with `+` when they were changed since; `unknown` without one."""
+    found = _git("log", "-1", "--format=%H", "--", *code)[:_SHORT]
     if not found:
         return "unknown"
-    return found + ("+" if _git("status", "--porcelain", "--", *_CODE) else "")
+    return found + ("+" if _git("status", "--porcelain", "--", *code) else "")
 
 
 def _git(*words: str) -> str:

@@ -15,7 +15,7 @@ FAMILIES = (
 )  # fmt: skip
 """In the order of the page."""
 _HEADINGS = (
-    "FAMILY", "accepted", "met", "in place", "searched", "refused of them",
+    "FAMILY", "accepted", "met", "in place", "closest pair", "searched", "refused of them",
     "keep-out", "deadline", "way back", "probability of a broken keep-out",
 )  # fmt: skip
 _OPEN = "not flown"
@@ -37,9 +37,11 @@ def _row(family: str) -> list[str]:
 
 def _swept(parts: dict[str, Any]) -> list[str]:
     if "sweep" not in parts:
-        return [_OPEN] * 3
-    shares = (parts["sweep"][name] for name in ("accepted", "met", "in_place"))
-    return [f"{one['count']} of {one['of']}" for one in shares]
+        return [_OPEN] * 4
+    found = parts["sweep"]
+    shares = (found[name] for name in ("accepted", "met", "in_place"))
+    counts = ("not asked" if one is None else f"{one['count']} of {one['of']}" for one in shares)
+    return [*counts, f"{found['closest_uav_m']:.2f} m"]
 
 
 def _searched(parts: dict[str, Any]) -> list[str]:

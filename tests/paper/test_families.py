@@ -47,14 +47,17 @@ def test_met_and_in_place_count_the_accepted() -> None:
     flown = fly_draw(PLAN, 0)[0]
     rows = [replace(row, check="accepted") for row in flown]
     rows += [replace(row, draw=1, check="refused", in_place=False) for row in flown]
+    found = families.swept(FlownSweep(replace(PLAN, check=1), Path(), table_of(rows)))
+    counts = [(found[name]["count"], found[name]["of"]) for name in ("accepted", "met", "in_place")]
+    assert counts == [(1, 2), (1, 1), (1, 1)]
+    assert found["closest_uav_m"] == pytest.approx(min(row.closest_uav_m for row in flown))
+
+
+def test_without_dry_runs_nothing_is_accepted_or_refused() -> None:
+    rows = fly_draw(PLAN, 0)[0]
     found = families.swept(FlownSweep(PLAN, Path(), table_of(rows)))
-    counts = {name: (share["count"], share["of"]) for name, share in found.items()}
-    assert counts == {
-        "accepted": (1, 2),
-        "met": (1, 1),
-        "in_place": (1, 1),
-        "met_of_refused": (1, 1),
-    }
+    assert found["accepted"] is None
+    assert (found["met"]["count"], found["met"]["of"]) == (1, 1)
 
 
 def test_a_part_that_is_flown_again_leaves_the_others(
@@ -67,12 +70,12 @@ def test_a_part_that_is_flown_again_leaves_the_others(
     }
     rare = {"probability": 0.0, "low": 0.0, "high": 1e-4, "flights": 5000}
     figures: dict[str, dict[str, Any]] = {"search": found, "rare": rare}
-    monkeypatch.setattr(families, "fly", lambda family, part, *rest: figures[part])
+    monkeypatch.setattr(families, "fly", lambda family, part, given: figures[part])
     for part in figures:
         assert families.main(["near", "--part", part]) == 0
     row = next(line for line in shares.regions()["families"].splitlines() if "`near`" in line)
     assert row == (
-        "| `near` | not flown | not flown | not flown | 9 | 2 | 1.2 % | 1.2 % | none made | at most 0.0001 |"
+        "| `near` |" + 4 * " not flown |" + " 9 | 2 | 1.2 % | 1.2 % | none made | at most 0.0001 |"
     )
 
 
