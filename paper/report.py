@@ -28,7 +28,7 @@ from ptnsbc_io.files import replacing
 from ptnsbc_sim.scenario.reading import reader
 
 _IMAGES = "img/results"
-_ROOT = Path(__file__).resolve().parents[2]
+_ROOT = Path(__file__).resolve().parents[1]
 _CODE = ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_tools", "paper", "scenarios")
 _LAWS = ("ptnsbc_core", "ptnsbc_sim", "paper")
 _SHORT = 12

@@ -1,7 +1,12 @@
 """From parts to text: tables, claims, rounding."""
 
 import math
+import subprocess
+from pathlib import Path
 
+import pytest
+
+from paper import report
 from paper.experiment_result import (
     Claim,
     Column,
@@ -58,3 +63,13 @@ def test_what_is_timed_says_so() -> None:
     timed = ExperimentResult("two", "Part two", "Text.", timed=True)
     assert "by the clock" in pages(ORIGIN, [timed], images="img", all_figures=True)["tables"]
     assert "by the clock" not in pages(ORIGIN, [PART], images="img", all_figures=True)["tables"]
+
+
+def test_the_origin_is_that_of_this_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = Path(__file__).parents[2]
+    git = ("git", "-C", str(here), "log", "-1", "--format=%H", "--", "ptnsbc_core")
+    newest = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    assert report.commit(["ptnsbc_core"]).rstrip("+") == (newest[:12] or "unknown")
+    digest = Origin.of("").digest
+    monkeypatch.setattr(report, "_LAWS", ())
+    assert Origin.of("").digest != digest
