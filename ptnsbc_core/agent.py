@@ -93,7 +93,7 @@ class PackedInputs:
 
     @property
     def near(self) -> Array:
-        """Near objects (M, 7), as in AgentInputs; an array of another layout or type is converted."""
+        """Near objects (M, 8), as in AgentInputs; an array of another layout or type is converted."""
         return self._near
 
     @near.setter

@@ -24,7 +24,7 @@ Vector2 = tuple[float, float]
 ODOMETRY_SIZE = 13
 Odometry = tuple[float, ...]  # the 13 numbers of an odometry vector
 OdometryLike = Array | Odometry
-NEAR_COLUMNS = 7
+NEAR_COLUMNS = 8
 
 # Gain profiles (docs/method.md): the c(t) of G(t) = Lambda (Xi(t) + kappa c(t))
 PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
@@ -238,7 +238,7 @@ class AgentInputs(NamedTuple):
     leader_age_s: float
     estimates: Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world
     estimate_age_s: Array  # (K,)
-    near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
+    near: Array  # (M, 8) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU] above [m]
     near_age_s: float
     mode: int  # MODE_*
     start_age_s: float  # time since the first epoch, from which c(t) of the soft profile counts

@@ -421,76 +421,82 @@ def checked_near(buf: bytes) -> Stamped:
     rows = message.values
     if len(rows) > MOST_NEAR_OBJECTS:
         raise WireError(f"{_NEAR}: {len(rows)} objects: expected at most {MOST_NEAR_OBJECTS}")
-    for x, y, z, radius, u, v, n in rows.tolist():
+    for x, y, z, radius, u, v, n, above in rows.tolist():
         if not hypot(x, y, z) < LARGEST_POSITION_M:
             raise _refuse(_NEAR, "position", (x, y, z), LARGEST_POSITION_M)
         if not 0.0 <= radius < LARGEST_POSITION_M:
             raise WireError(f"{_NEAR}: radius {radius:g} m: expected 0 or more")
+        if not 0.0 <= above < LARGEST_POSITION_M:
+            raise WireError(f"{_NEAR}: above {above:g} m: expected 0 or more")
         if not hypot(u, v, n) < LARGEST_SPEED_M_S:
             raise _refuse(_NEAR, "velocity", (u, v, n), LARGEST_SPEED_M_S)
     return message
 
 
-NEAR_FIELDS = ("x", "y", "z", "radius", "vx", "vy", "vz")
+NEAR_FIELDS = ("x", "y", "z", "radius", "vx", "vy", "vz", "above")
 REQUIRED_FIELDS = NEAR_FIELDS[:4]
 EXACT_FIELDS = {f"exact_{axis}": axis for axis in "xyz"}
 """FLOAT64 beside an x y z in FLOAT32, which viewers read and which is coarse far from the origin of the frame."""
 
 _POINT_FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
-_STEP = 9 * 8  # seven numbers, then x y z for viewers
+_STEP = 9 * 8  # seven numbers, then x y z for viewers; `above` follows where there is an ellipsoid
 _LARGEST_STEP = 1 << 16  # bytes of a point
 
 
-def _our_fields() -> tuple[tuple[str, int, int, int], ...]:
+def _our_fields(above: bool = False) -> tuple[tuple[str, int, int, int], ...]:
     """Name, offset, datatype and count of the fields of our points."""
-    exact = [(name, 8 * i, 8, 1) for i, name in enumerate((*EXACT_FIELDS, *NEAR_FIELDS[3:]))]
+    exact = [(name, 8 * i, 8, 1) for i, name in enumerate((*EXACT_FIELDS, *NEAR_FIELDS[3:7]))]
+    exact += [("above", _STEP, 8, 1)] if above else []
     return (*((axis, 56 + 4 * i, 7, 1) for i, axis in enumerate("xyz")), *exact)
 
 
-def _our_table() -> bytes:
+def _our_table(above: bool) -> bytes:
     """Our field table, from the number of fields to point_step; it starts aligned to 4."""
-    table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(_our_fields())))
-    for name, *field in _our_fields():
+    table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(_our_fields(above))))
+    for name, *field in _our_fields(above):
         pad(table, 4)
         table += encode_string(name)
         pad(table, 4)
         table += struct.pack("<IBxxxI", *field)
     table += b"\0"  # is_bigendian
     pad(table, 4)
-    return bytes(table[len(LITTLE_ENDIAN_HEADER) :]) + struct.pack("<I", _STEP)
+    return bytes(table[len(LITTLE_ENDIAN_HEADER) :]) + struct.pack("<I", _STEP + 8 * above)
 
 
-_OUR_TABLE = _our_table()
+_OUR_TABLES = _our_table(above=False), _our_table(above=True)
 
 
 def encode_near(stamp_ns: int, frame_id: str, rows: Floats) -> bytes:
-    """PointCloud2 of `rows` (M, 7): x y z radius [m], vx vy vz [m/s]."""
+    """PointCloud2 of `rows` (M, 8): x y z radius [m], vx vy vz [m/s], above [m]; of spheres without `above`."""
     if rows.ndim != 2 or rows.shape[1] != len(NEAR_FIELDS):
-        raise WireError(f"{_NEAR}: rows of shape {rows.shape}: expected (M, 7)")
-    numbers = np.zeros((len(rows), _STEP // 8))
-    numbers[:, : len(NEAR_FIELDS)] = rows
+        raise WireError(f"{_NEAR}: rows of shape {rows.shape}: expected (M, {len(NEAR_FIELDS)})")
+    above = bool(rows[:, 7].any())
+    numbers = np.zeros((len(rows), _STEP // 8 + above))
+    numbers[:, :7] = rows[:, :7]
     numbers.view("<f4")[:, 14:17] = rows[:, :3]
+    if above:
+        numbers[:, -1] = rows[:, 7]
     points = numbers.tobytes()
     buffer = bytearray(LITTLE_ENDIAN_HEADER + stamp_bytes(stamp_ns) + aligned_string(frame_id))
-    buffer += struct.pack("<II", 1, len(rows)) + _OUR_TABLE  # height, width
+    buffer += struct.pack("<II", 1, len(rows)) + _OUR_TABLES[above]  # height, width
     buffer += struct.pack("<II", len(points), len(points)) + points  # row_step, length of data
     return bytes(buffer + b"\x01")  # is_dense
 
 
 def decode_near(buf: bytes) -> Stamped:
-    """Stamp [ns] and rows (M, 7) x y z radius [m], vx vy vz [m/s] of a PointCloud2.
+    """Stamp [ns] and rows (M, 8) x y z radius [m], vx vy vz [m/s], above [m] of a PointCloud2.
 
     FLOAT32 and FLOAT64 fields in any order are understood and others ignored; clouds may be
     organised (height > 1) or padded. `EXACT_FIELDS` take precedence, which a sender need not have. One
-    without vx vy vz gives velocity 0, and so does a velocity that is not finite. A point whose x y z or
+    without vx vy vz or above gives 0, and so does such a number that is not finite. A point whose x y z or
     radius is not finite is left out: a sensor marks "no return" that way.
     """
     reader = Reader(buf, _NEAR)
     stamp_ns = reader.stamp()
     reader.take(*reader.numbers("I"))  # frame_id
     height, width = reader.numbers("II")
-    if reader.order == "<" and buf.startswith(_OUR_TABLE, reader.at):
-        reader.at += len(_OUR_TABLE)  # at a tenth of the cost of reading it
+    if reader.order == "<" and buf.startswith(_OUR_TABLES[0], reader.at):
+        reader.at += len(_OUR_TABLES[0])  # at a tenth of the cost of reading it
         kind = _OUR_TYPE
     else:
         fields = []
@@ -515,8 +521,8 @@ def decode_near(buf: bytes) -> Stamped:
             )
     with np.errstate(invalid="ignore"):  # of a signalling NaN, which is left out like any other
         if kind is _OUR_TYPE and height == 1:  # at a third of the cost of its columns
-            columns, steps = len(NEAR_FIELDS), (_STEP, 8)
-            rows = np.ndarray((width, columns), "<f8", buf, data_at, steps).astype(_FLOAT)
+            rows = np.zeros((width, len(NEAR_FIELDS)))
+            rows[:, :7] = np.ndarray((width, 7), "<f8", buf, data_at, (_STEP, 8))
         else:
             shape, steps = (height, width), (row_step, kind.itemsize)
             points = np.ndarray(shape, kind, buf, data_at, steps).reshape(-1)

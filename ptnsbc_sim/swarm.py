@@ -58,7 +58,7 @@ class HeadlessFlight(NamedTuple):
         return self.track.truth if len(self.track.truth) else self.track.odometry
 
     def near(self, tick: int, row: int) -> Array:
-        """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
+        """Rows (M, 8) that UAV number `row` saw at a tick that is a multiple of near_every."""
         obstacles, keep_outs = obstacles_at(self.swarm.wiring, tick), self.swarm.wiring.keep_outs
         seen = self.track.odometry[tick, row] if len(self.track.truth) else None
         sensors = WorldPlugins(self.scenario)

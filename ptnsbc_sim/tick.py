@@ -51,7 +51,7 @@ class SwarmState(NamedTuple):
     plants: MutableSequence[PlantConfig]
     states: MutableSequence[AgentState]
     bodies: Array  # (N, 17) plant states
-    near: Array  # (N, N - 1 + O, 7) last reading of the near-object sensor
+    near: Array  # (N, N - 1 + O, 8) last reading of the near-object sensor
     near_count: NDArray[np.int64]  # (N,) rows of it that are used
     estimates: Array  # (N, K, 13) received leader estimates
     estimate_age_s: Array  # (N, K)

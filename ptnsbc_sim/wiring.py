@@ -35,7 +35,7 @@ class Wiring(NamedTuple):
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
     neighbour_count: NDArray[np.int64]  # (N,)
     obstacles: Array  # (S, O, 20) bodies at every reading of the sensor; S = 1 where none moves
-    keep_outs: Array  # (N,) [m]
+    keep_outs: Array  # (N, 2) [m] beside and above, see `near_objects`
     range_m: float
     near_every: int
     substeps: int
@@ -52,8 +52,12 @@ def obstacles_at(wiring: Wiring, tick: int) -> Array:
 
 
 def keep_outs_of(scenario: Scenario) -> Array:
-    """Keep-outs (N,) [m] of all UAVs."""
-    return np.array([scenario.keep_out_m(uav) for uav in scenario.uav_ids], dtype=np.float64)
+    """Keep-outs (N, 2) [m] of all UAVs, beside and above; above 0 where they are spheres."""
+    height = scenario.formation.keep_out_height
+    beside = [scenario.keep_out_m(uav) for uav in scenario.uav_ids]
+    return np.array(
+        [(one, one * height if height > 1.0 else 0.0) for one in beside], dtype=np.float64
+    )
 
 
 def wire(wiring: Wiring, scenario: Scenario, uav_id: int) -> None:

@@ -121,7 +121,7 @@ class World:
         return self._obstacles_now(self.tick)[:, 0:3]
 
     def near(self, uav_id: int) -> Array:
-        """Rows (M, 7) that the near-object sensor of one UAV sees now."""
+        """Rows (M, 8) that the near-object sensor of one UAV sees now."""
         row, tick = self._row[uav_id], self.ticks[uav_id]
         seen = self._odometry[row] if self._around else None
         obstacles = self._obstacles_now(tick)

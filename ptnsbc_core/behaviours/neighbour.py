@@ -126,7 +126,7 @@ def associate(reported: Neighbour, near: Array, near_age_s: float, gate_m: float
 
     Args:
         reported: position and velocity that the neighbour reports, extrapolated to the present.
-        near: (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU].
+        near: (M, 8) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU] above [m].
         near_age_s: age of `near`, by which its objects are extrapolated.
         gate_m: an object at this distance or farther from the reported position is not the neighbour.
     """

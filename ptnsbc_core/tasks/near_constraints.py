@@ -1,6 +1,7 @@
 """The constraints n.v >= b that near objects put on the velocity of a UAV, (33)-(36), and the memory of these objects.
 
 With d the distance, d_d the object's keep-out radius plus the own margin, and v_o its velocity, an object gives
+(of an ellipsoid, in the space where it is a sphere, see signed_distance.py)
 
     linear     n.v >= n.v_o + alpha (d_d - d),  alpha = Lambda (kappa + Xi inside d_d), as (36)
     braking    the half space of velocities that can still be braked, docs/notes/clearance.md ("The bound")
@@ -22,7 +23,7 @@ import numpy as np
 from ptnsbc_core.algebra import add3, axpy, div3, dot3, load3, norm3, scale3, store3, sub3
 from ptnsbc_core.curves.turned import ToldPaths, path_share, scaled
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
+from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M, flattened, slope
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import SPEED_BRAKING, Array, ClearanceConfig, Vector3, Vector3Like
 
@@ -40,6 +41,9 @@ _ASIDE = 0.3
 
 _TINY = 1e-9
 
+ABOVE = 7
+"""Column of a near object: half the height of its keep-out [m], where that is more than its radius."""
+
 SLOTS = 8
 SIDE, ACTIVE_S, QUIET_S, USED = 3, 4, 5, 6
 MATCH_RADIUS_M = 1.0
@@ -54,7 +58,7 @@ _LEAST_BRAKING = 0.25
 class ObstacleView(NamedTuple):
     """The near objects that a UAV senses, and its memory of them."""
 
-    near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
+    near: Array  # (M, 8) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU] above [m]
     age_s: float  # of `near`, by which its objects are extrapolated
     memory: Array  # (8, 7) obstacle memory before this tick
     dt: float  # control period [s]
@@ -67,7 +71,7 @@ class ObstacleView(NamedTuple):
 class ClearanceConstraint(NamedTuple):
     """Constraint of one near object: normal . v >= bound."""
 
-    normal: Vector3  # from the object to the UAV
+    normal: Vector3  # away from the object
     bound: float  # [m/s], -inf where the two coincide
     depth: float  # d_d - d [m], positive inside
 
@@ -287,27 +291,36 @@ def landmarks_of(near: Array, normals: Array) -> Array:
 
 
 @inline_kernel
+def _flat(near: Array, margin_m: float) -> float:
+    """Width over height of the keep-out of a near object and the margin around it; 1 for a sphere."""
+    radius = max(near[3], 0.0)
+    return (radius + margin_m) / (max(near[ABOVE], radius) + margin_m)
+
+
+@inline_kernel
 def constraint(
     position: Vector3, which: int, view: ObstacleView, straight: bool, config: ClearanceConfig
 ) -> ClearanceConstraint:
     """Constraint of the near object in row `which`; `straight`: whatever the told paths are."""
     near = view.near[which]
     centre, velocity = _present(position, near, view, config)
-    away = sub3(position, centre)
+    flat = _flat(near, config.margin_m)
+    away = flattened(sub3(position, centre), flat)
     distance = norm3(away)
     if distance < _COINCIDENT_M:
         return ClearanceConstraint((0.0, 0.0, 0.0), -np.inf, -np.inf)
-    normal = div3(away, distance)
+    normal, rate = slope(div3(away, distance), flat)
     keep_out = max(near[3], 0.0) + config.margin_m
     depth = keep_out - distance
     if config.approach == SPEED_BRAKING and depth < -_COINCIDENT_M:
-        return _braking_constraint(position, centre, velocity, keep_out, view, straight, config)
+        ellipsoid = (keep_out, flat, rate)
+        return _braking_constraint(position, centre, velocity, ellipsoid, view, straight, config)
     alpha = config.gain.kappa
     if depth > 0.0:
         since = active_time(view.memory, _landmark(near, centre, normal))
         alpha += step_gain(since, view.dt, config.gain.duration_s, config.gain.residual)
     return ClearanceConstraint(
-        normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth
+        normal, dot3(normal, velocity) + config.gain.scale * alpha * depth / rate, depth
     )
 
 
@@ -316,7 +329,7 @@ def _braking_constraint(
     position: Vector3,
     centre: Vector3,
     velocity: Vector3,
-    keep_out: float,
+    ellipsoid: Vector3,
     view: ObstacleView,
     straight: bool,
     config: ClearanceConfig,
@@ -327,8 +340,11 @@ def _braking_constraint(
     UAV, which makes the other half. Each makes it beside the velocity that the pair is about to have, see
     docs/notes/clearance.md ("Shares"). One that moves may also be the weakest UAV: both of the pair count on what that
     one has. Of the deceleration at least a quarter remains.
+
+    `ellipsoid`: radius [m] of the keep-out, `flat`, and the rate by which the distance grows now, see `slope`.
     """
-    away, relative = sub3(position, centre), sub3(view.velocity, velocity)
+    keep_out, flat, rate = ellipsoid
+    away, relative = flattened(sub3(position, centre), flat), sub3(view.velocity, velocity)
     moves = dot3(velocity, velocity) > 0.0
     late, share, most, beside = config.lag_s, 1.0, config.deceleration, view.velocity
     if moves:
@@ -336,14 +352,15 @@ def _braking_constraint(
         beside = axpy(COMMON, sub3(view.command, view.velocity), view.velocity)
     depth = keep_out - norm3(away)
     left = max(most - view.demand, _LEAST_BRAKING * most)
-    allowed = braking_speed(-depth, left, LATENCIES * late)
+    allowed = braking_speed(-depth, rate * left, LATENCIES * late)
     if moves and not straight:
         horizon_s = -depth / allowed
         part = path_share(view.told, position, view.velocity, centre, velocity, horizon_s)
         relative = scaled(part, relative)
-    space = clear_velocities(away, keep_out, relative, allowed)
-    bound = dot3(space.normal, beside) + share * (space.bound - dot3(space.normal, relative))
-    return ClearanceConstraint(space.normal, bound, depth)
+    space = clear_velocities(away, keep_out, flattened(relative, flat), allowed)
+    side, steep = slope(space.normal, flat)
+    bound = dot3(side, beside) + share * (space.bound / steep - dot3(side, relative))
+    return ClearanceConstraint(side, bound, depth)
 
 
 @kernel

@@ -4,6 +4,10 @@ Signed distance d(x) [m]: from the surface, negative inside. Its gradient is the
 Of every body but a sphere the near-object sensor tells one sphere of radius TANGENT_RADIUS_M, which touches the surface
 at the point nearest to the UAV, see docs/notes/bodies.md.
 
+The keep-out of a UAV may be an ellipsoid, higher than it is wide, because of its downwash: `flat` is its width over its
+height. Where heights count `flat` times, it is a sphere (`flattened`). `slope` brings a direction of that space to the
+world.
+
 Positions [m] are world ENU.
 """
 
@@ -138,6 +142,26 @@ def signed_distances(places: Array, body: Array) -> Array:
     for k in range(places.shape[0]):
         out[k] = signed_distance(load3(places[k], 0), body).distance
     return out
+
+
+class Slope(NamedTuple):
+    """A distance in which heights count `flat` times, in the world."""
+
+    normal: Vector3  # unit vector along which it grows
+    rate: float  # by which it grows per metre along the normal, from `flat` to 1
+
+
+@inline_kernel
+def flattened(away: Vector3Like, flat: float) -> Vector3:
+    """A vector whose height counts `flat` times."""
+    return away[0], away[1], flat * away[2]
+
+
+@inline_kernel
+def slope(normal: Vector3Like, flat: float) -> Slope:
+    """Of a distance that grows along a unit vector (3,) of the space where heights count `flat` times."""
+    rate = math.sqrt(1.0 - (1.0 - flat * flat) * normal[2] * normal[2])  # exactly 1 for a sphere
+    return Slope((normal[0] / rate, normal[1] / rate, flat * normal[2] / rate), rate)
 
 
 @inline_kernel

@@ -44,7 +44,7 @@ class NearObjects:
         self._newest[uav_id] = (now_s, tuple(odometry.tolist()), left)
 
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
-        """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the detection range.
+        """The rows that its UAV avoids: x y z keep-out vx vy vz above (M, 8) [m, m/s, ENU] within the detection range.
 
         `position` (3,) is its own [m], `mission_s` counts from the first epoch: before it moving obstacles stand still.
         """
@@ -59,10 +59,10 @@ class NearObjects:
         own = np.zeros((1, ODOMETRY_SIZE))
         own[0, 0:3], own[0, 6] = position, 1.0
         # The obstacles in range, as the simulated sensor tells them.
-        return np.vstack([near, near_objects(0, own, bodies, np.zeros(1), self._range_m)])
+        return np.vstack([near, near_objects(0, own, bodies, np.zeros((1, 2)), self._range_m)])
 
     def uavs(self, now_s: float) -> Array:
-        """The rows (M, 7) of all other UAVs, at any distance, avoided or not."""
+        """The rows (M, 8) of all other UAVs, at any distance, avoided or not."""
         return self._known(now_s, self._keep_out_m)
 
     def _out(self, now_s: float) -> set[int]:
@@ -90,7 +90,8 @@ class NearObjects:
             stops = 1 + math.floor(min(math.hypot(*way) / between_m, _MOST_STOPS))
             keep_out_m = math.hypot(keep_out_m, 0.5 * between_m)
             shares = np.linspace(0.0, 1.0, stops + 1).tolist()
-        still = (keep_out_m, 0.0, 0.0, 0.0)
+        height = self._scenario.formation.keep_out_height
+        still = (keep_out_m, 0.0, 0.0, 0.0, keep_out_m * height if height > 1.0 else 0.0)
         path = tuple(zip(odometry[0:3], way, strict=True))
         rows = [[*(at + share * by for at, by in path), *still] for share in shares]
         if age_s < _COASTS_S:

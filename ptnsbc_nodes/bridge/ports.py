@@ -25,7 +25,7 @@ class BridgeInputs:
     legs: list[HeaderFields] = field(default_factory=list)  # epochs as they are announced
     taken: list[Stamped] = field(default_factory=list)  # setpoints that the leader follows
     near_uavs: Array = field(default_factory=lambda: np.empty((0, NEAR_COLUMNS)))
-    """The other vehicles (M, 7), wherever they are: x y z keep-out vx vy vz."""
+    """The other vehicles (M, 8), wherever they are: x y z keep-out vx vy vz above."""
     leader_origin: GeoPoint | None = None
     controller_ready: bool = False
     controller_heard_s: float = float("-inf")  # when its process last reported

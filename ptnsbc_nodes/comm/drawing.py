@@ -136,6 +136,7 @@ def _all_markers(
     for namespace, i, diameter_m, colour in spheres:
         sphere = _marker(namespace, i, Marker.SPHERE, colour)
         sphere.scale.x = sphere.scale.y = sphere.scale.z = float(diameter_m)
+        sphere.scale.z *= scenario.formation.keep_out_height if namespace == "keep_outs" else 1.0
         sphere.pose.position = _point(somewhere)
         shown.append(sphere)
     shown.append(_line("tree", 0, Marker.LINE_LIST, _EDGE, tree_points * [somewhere]))

@@ -91,7 +91,7 @@ def truth(uav: int) -> Topic:
 
 
 def near(uav: int) -> Topic:
-    """Obstacles and other UAVs inside the detection range: x y z (exact_x to exact_z) radius vx vy vz."""
+    """Near objects: x y z (exact_x to exact_z) radius vx vy vz, and above where a keep-out is higher than wide."""
     return _state(uav, "near", "sensor_msgs/msg/PointCloud2")._replace(rate=SENSOR_RATE)
 
 

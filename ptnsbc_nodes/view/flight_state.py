@@ -166,7 +166,11 @@ class FlightState:
         own, scenario, at = places[uav], self.scenario, np.array([t])
         things = [
             *(
-                (f"UAV {i}", float(np.linalg.norm(own - place)), scenario.keep_out_between(uav, i))
+                (
+                    f"UAV {i}",
+                    float(np.linalg.norm((own - place) * scenario.formation.keep_out_scale)),
+                    scenario.keep_out_between(uav, i),
+                )
                 for i, place in places.items()
                 if i != uav
             ),

@@ -199,13 +199,13 @@ def sensor_noise_of(scenario: Scenario) -> SensorNoise:
 def add_sensor_noise(
     near: Array, truth: Array, measured: Array, samples: Array, kind: SensorNoise
 ) -> Array:
-    """Near objects (M, 7) as a UAV measures them.
+    """Near objects (M, 8) as a UAV measures them.
 
     The sensor measures relative position and velocity. Converted to the world frame they contain the errors of
     the UAV's own position and velocity.
 
     Args:
-        near: (M, 7) the true near objects.
+        near: (M, 8) the true near objects.
         truth: (13,) the UAV's true odometry vector.
         measured: (13,) its measured odometry vector.
         samples: (6 M,) standard normal numbers, or more.

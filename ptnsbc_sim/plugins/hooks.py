@@ -34,7 +34,7 @@ class LawInputs(NamedTuple):
     offsets: Array  # (K, 3) their places relative to the leader [m]
     offset_velocities: Array  # (K, 3) of these places [m/s]
     ages_s: Array  # (K,) ages of what they sent
-    near: Array  # (M, 7) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s]
+    near: Array  # (M, 8) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s], above [m]
     deadline_s: float  # of the formation, counted from the epoch
     max_speed_m_s: float  # to which the command is limited
     memory: Array  # (M,) what the law gave beside its velocity at the tick before
@@ -86,7 +86,7 @@ class SensorInputs(NamedTuple):
     t: float  # [s] of the simulated world
     uav: int  # id
     odometry: Array  # (13,) true
-    objects: Array  # (M, 7) x y z [m], keep-out radius [m], vx vy vz [m/s, ENU]
+    objects: Array  # (M, 8) x y z [m], keep-out radius [m], vx vy vz [m/s, ENU], above [m]
     range_m: float  # of the scenario
     samples: Array  # (6,) standard normal numbers of this UAV and reading
 
@@ -139,7 +139,7 @@ HOOKS = {
             "six numbers: acceleration [m/s^2, ENU] and angular acceleration [rad/s^2, body]",
             6,
         ),
-        Hook("sensor", _SENSOR, "rows of 7 finite numbers", 0),
+        Hook("sensor", _SENSOR, f"rows of {NEAR_COLUMNS} finite numbers", 0),
     )
 }
 """All hooks that are called in flight, by their names in a scenario."""

@@ -113,11 +113,11 @@ class WorldPlugins:
         obstacles: Array,
         keep_outs: Array,
     ) -> Array:
-        """Rows (K, 7) that the sensor of UAV number `row` gives, ours or the one that is plugged in.
+        """Rows (K, 8) that the sensor of UAV number `row` gives, ours or the one that is plugged in.
 
         With `seen`, the odometry (13,) that the UAV measures, they have the errors of sensor and position.
 
-        `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N,) are as in `near_objects`.
+        `truth` (N, 13), `obstacles` (O, 20) and `keep_outs` (N, 2) are as in `near_objects`.
         """
         scenario = self._scenario
         if self.sensor is None:
@@ -132,7 +132,7 @@ class WorldPlugins:
         return add_sensor_noise(rows, truth[row], seen, samples, sensor_noise_of(scenario))
 
     def _sensed(self, sensor: Plugin, uav: int, tick: int, truth: Array, objects: Array) -> Array:
-        """Rows (K, 7) that the sensor of the user gives of all objects (M, 7)."""
+        """Rows (K, 8) that the sensor of the user gives of all objects (M, 8)."""
         scenario, t = self._scenario, self._seconds(tick)
         samples = self._samples(uav, 2 * (tick // scenario.near_every) + 1)
         range_m = float(scenario.sensor.range_m)

@@ -196,6 +196,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
     unlike.pop(scenario.vehicle(uav_id))
     # In a second deadlock_s any two are a keep-out apart.
+    above_m = scenario.formation.uav_keep_out_above_m or scenario.formation.uav_keep_out_m
     number = 1 + scenario.uav_ids.index(uav_id)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
     return ClearanceConfig(
@@ -215,7 +216,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         stale_s=float(gains.stale_s),
         range_m=float(scenario.sensor.range_m),
         deadlock_s=float(gains.deadlock_s),
-        climb=float(number * scenario.formation.uav_keep_out_m / gains.deadlock_s),
+        climb=float(number * above_m / gains.deadlock_s),
     )
 
 
@@ -243,7 +244,7 @@ def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     left = max(most - speed, _LEAST_LEFT * most)
     if scenario.formation.avoidance != "off":
         config = clearance_config(scenario, uav_id)
-        left = min(left, sight_speed(config, scenario.widest_keep_out_m, half, SHARE))
+        left = min(left, sight_speed(config, scenario.highest_keep_out_m, half, SHARE))
     return RecoveryConfig(
         least_s=float(scenario.formation.recovery_s), speed=float(left), acceleration=float(half)
     )

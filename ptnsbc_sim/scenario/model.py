@@ -294,6 +294,9 @@ class Formation(Block):
     """Reference point of the leader's children, relative to the leader."""
     uav_keep_out_m: Positive
     """Least distance between two UAVs."""
+    uav_keep_out_above_m: Positive | None = None
+    """Least distance of two UAVs one above the other, for the downwash: the keep-out is an ellipsoid, so high and
+    `uav_keep_out_m` wide. Default: `uav_keep_out_m`, a sphere."""
     sight_m: NotNegative = 0.0
     """Distance within which a detected object is taken to be the parent or the leader; at most half of the keep-out."""
     tolerance_m: Positive = 0.05
@@ -301,6 +304,17 @@ class Formation(Block):
     recovery_s: Positive = 1.0
     """Shortest time base of the way back after an encounter; it is longer where the limits of speed and acceleration
     need more, see [method.md](method.md#way-back)."""
+
+    @property
+    def keep_out_height(self) -> float:
+        """Height of the keep-out of every UAV over its width [1]; 1 for a sphere."""
+        above_m = self.uav_keep_out_above_m
+        return 1.0 if above_m is None else above_m / self.uav_keep_out_m
+
+    @property
+    def keep_out_scale(self) -> Array:
+        """Factors (3,) of x, y and z: the lengths of differences between UAVs times these count against keep-outs."""
+        return np.array([1.0, 1.0, 1.0 / self.keep_out_height])
 
     @property
     def has_open_slots(self) -> bool:
@@ -514,6 +528,11 @@ class ScenarioFile(Block):
         keep_outs = (default if uav.keep_out_m is None else uav.keep_out_m for uav in self.uavs)
         widest = sorted(keep_outs)[-2:]
         return 0.5 * (widest[0] + widest[-1])
+
+    @property
+    def highest_keep_out_m(self) -> float:
+        """The largest least distance of any two UAVs, in the direction where it is largest."""
+        return self.formation.keep_out_height * self.widest_keep_out_m
 
     @property
     def lossy(self) -> bool:

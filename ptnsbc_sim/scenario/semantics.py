@@ -205,6 +205,10 @@ def _formation(file: ScenarioFile) -> Problems:
     half = f"at most half of the smallest keep-out of a UAV ({least:g} m), or one UAV may be taken for another"
     sight_m = formation.sight_m
     yield from unless(sight_m <= 0.5 * least, "formation.sight_m", sight_m, half)
+    above_m, beside_m = formation.uav_keep_out_above_m, formation.uav_keep_out_m
+    higher = above_m is None or above_m >= beside_m
+    wide = f"at least formation.uav_keep_out_m ({beside_m:g} m)"
+    yield from unless(higher, "formation.uav_keep_out_above_m", above_m, wide)
     for problem in trajectory_problems(file.leader.trajectory):
         yield problem.below("leader.trajectory")
     places = {f"uavs[{k}].position_m": uav.position_m for k, uav in enumerate(file.uavs)}

@@ -162,12 +162,13 @@ def parse_starts(text: str) -> Starts:
 class Spacing:
     """The distances that a start must keep."""
 
-    uavs_m: float  # from every other UAV
+    uavs_m: float  # from every other UAV, in the scale of their keep-outs
     bodies: tuple[tuple[Obstacle, float], ...] = ()  # from each body [m]
+    scale: Array | float = 1.0  # `keep_out_scale`
 
 
 def _is_clear(place: Array, others: Sequence[Array], spacing: Spacing) -> bool:
-    if any(np.linalg.norm(place - other) < spacing.uavs_m for other in others):
+    if any(np.linalg.norm((place - other) * spacing.scale) < spacing.uavs_m for other in others):
         return False
     at = place[None], np.zeros(1)
     return all(body.distances(*at)[0] >= least_m for body, least_m in spacing.bodies)
@@ -179,6 +180,7 @@ def spacing_of(file: ScenarioFile, bodies: Sequence[Obstacle]) -> Spacing:
     return Spacing(
         max(file.formation.uav_keep_out_m, *map(file.keep_out_m, file.uav_ids)) + margin_m,
         tuple((body, body.keep_out_m + margin_m) for body in bodies),
+        file.formation.keep_out_scale,
     )
 
 

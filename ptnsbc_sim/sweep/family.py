@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -338,8 +339,9 @@ def draw_family(
     world = dict(tree.get("world") or {})
     world["obstacles"] = []
     tree["world"] = world
-    least_m = spacing_of(base, ()).uavs_m
-    apart = Spacing(max(least_m, family.starts.apart_m))
+    kept = spacing_of(base, ())
+    least_m = kept.uavs_m
+    apart = replace(kept, uavs_m=max(least_m, family.starts.apart_m))
     starts = _starts(family.starts, goals, apart, generator("family starts"))
     places = np.array(starts)
     if family.obstacles is not None:

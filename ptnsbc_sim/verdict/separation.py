@@ -2,7 +2,8 @@
 
 A keep-out is entered where a distance is below it at a judged instant: between centres, and from the surface of an
 obstacle that is no sphere. The distance is compared as it is:
-there is no slack for rounding, and none for errors of the positions.
+there is no slack for rounding, and none for errors of the positions. Of two UAVs whose keep-outs are ellipsoids the
+height of one over the other counts less, by `keep_out_scale`: the distance is that of two as near side by side.
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ def distances(
     ids, bodies = scenario.uav_ids, scenario.world.bodies
     names = [f"uav{uav}" for uav in ids]
     own = np.array([scenario.keep_out_m(uav) for uav in ids])
+    scaled = positions * scenario.formation.keep_out_scale[:, None, None]
     for row, name in enumerate(names[:-1]):
-        apart = lengths(positions[:, row, None] - positions[:, row + 1 :])
+        apart = lengths(scaled[:, row, None] - scaled[:, row + 1 :])
         yield name, names[row + 1 :], 0.5 * (own[row] + own[row + 1 :]), apart
     for row, name in enumerate(names if bodies else ()):
         place = np.ascontiguousarray(positions[:, row].T)

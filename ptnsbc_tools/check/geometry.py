@@ -101,7 +101,9 @@ def spacing(scenario: Scenario) -> Findings:
     for key, where in positions.items():
         pairs = []
         for a, b in combinations(scenario.uav_ids, 2):
-            distance = float(np.linalg.norm(where[a] - where[b]))
+            distance = float(
+                np.linalg.norm((where[a] - where[b]) * scenario.formation.keep_out_scale)
+            )
             pairs.append((a, b, distance, scenario.keep_out_between(a, b) + margin))
         near = [pair for pair in pairs if pair[2] < pair[3]]
         closest = sorted(pairs, key=lambda pair: pair[2] - pair[3])[:1]
@@ -126,7 +128,7 @@ def moving_spacing(scenario: Scenario) -> Findings:
     times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
     places = {uav: places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
     gaps = {
-        (a, b): np.linalg.norm(places[a] - places[b], axis=1)
+        (a, b): np.linalg.norm((places[a] - places[b]) * scenario.formation.keep_out_scale, axis=1)
         for a, b in combinations(scenario.uav_ids, 2)
     }
     a, b = min(gaps, key=lambda pair: float(gaps[pair].min()) - scenario.keep_out_between(*pair))
@@ -253,7 +255,7 @@ def recovery(scenario: Scenario) -> Findings:
 
 def _largest_keep_out_m(scenario: Scenario) -> float:
     """The largest keep-out of anything that a UAV may meet."""
-    return max([scenario.widest_keep_out_m, *(body.keep_out_m for body in scenario.world.bodies)])
+    return max([scenario.highest_keep_out_m, *(body.keep_out_m for body in scenario.world.bodies)])
 
 
 def sensor(scenario: Scenario) -> Findings:
@@ -284,12 +286,13 @@ def slots(scenario: Scenario) -> Findings:
     last = [held.offset(a) - held.offset(b) for a, b in pairs]
     ends = [min(float(np.linalg.norm(apart)) for apart in end) for end in (first, last)]
     keep_out_m = scenario.widest_keep_out_m
-    needed = math.sqrt(2.0) * keep_out_m
+    needed = math.sqrt(2.0) * scenario.highest_keep_out_m
     key, wider = "formation.assignment", "start farther apart, or widen the formation"
     value = f"starts {ends[0]:.2f} m apart or more, slots {ends[1]:.2f} m"
     limit = f">= {needed:.2f} m, which keeps all paths {keep_out_m:g} m apart"
     yield judge(key, value, limit, "" if min(ends) >= needed else wider)
-    gaps = [least_distance(*ways) for ways in zip(first, last, strict=True)]
+    scale = scenario.formation.keep_out_scale
+    gaps = [least_distance(one * scale, two * scale) for one, two in zip(first, last, strict=True)]
     least, (a, b) = min(zip(gaps, pairs, strict=True))
     value = f"UAV {a} and UAV {b} come as close as {least:.2f} m on their ways"
     yield judge(key, value, f">= {keep_out_m:g} m", wider if least < keep_out_m else "")

@@ -445,12 +445,12 @@ def _positions(flight: FlightView) -> Iterator[tuple[Array, dict[int, Array]]]:
 
 def between(flight: FlightView) -> Chart | None:
     """The distance of every UAV from the nearest other one."""
-    pairs = list(combinations(flight.uavs, 2))
+    pairs, scale = list(combinations(flight.uavs, 2)), flight.scenario.formation.keep_out_scale
 
     def nearest(places: Mapping[int, Array]) -> dict[int, Array]:
         least: dict[int, Array] = {}
         for pair in pairs:
-            distance = np.linalg.norm(places[pair[0]] - places[pair[1]], axis=1)
+            distance = np.linalg.norm((places[pair[0]] - places[pair[1]]) * scale, axis=1)
             least |= {uav: np.fmin(least.get(uav, distance), distance) for uav in pair}
         return least
 

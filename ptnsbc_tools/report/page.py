@@ -128,6 +128,7 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "poses": pack.add(np.stack(poses, axis=1)),  # (F, N, 7)
         "path": pack.add(path),
         "marks": timeline(flight),
+        "keepOutHeight": scenario.formation.keep_out_height,
         "uavs": [
             {
                 **uav_of(scenario, uav),

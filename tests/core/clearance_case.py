@@ -60,8 +60,10 @@ def braking(**changes) -> ClearanceConfig:
     return config_of(approach=SPEED_BRAKING, **changes)
 
 
-def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> np.ndarray:
-    return np.array([*centre, keep_out, *velocity], dtype=float)
+def object_at(
+    centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT, above: float = 0.0
+) -> np.ndarray:
+    return np.array([*centre, keep_out, *velocity, above], dtype=float)
 
 
 def result(
@@ -85,4 +87,4 @@ def result(
 
 
 ROCK = object_at((0.0, 0, 0))[np.newaxis]
-"""One object that stands at the origin: (1, 7)."""
+"""One object that stands at the origin: (1, 8)."""

@@ -30,10 +30,11 @@ def odometry_of(rng: np.random.Generator) -> np.ndarray:
 
 
 def inputs_of(rng: np.random.Generator, t: float) -> AgentInputs:
-    near = np.zeros((3, 7))
+    near = np.zeros((3, 8))
     near[:, 0:3] = rng.uniform(-3.0, 3.0, (3, 3))
     near[:, 3] = rng.uniform(0.5, 3.0, 3)
     near[:, 4:7] = rng.normal(size=(3, 3))
+    near[0, 7] = 3.0 * near[0, 3]
     estimates = np.stack([odometry_of(rng) for _ in range(2)])
     return AgentInputs(
         odometry_of(rng),

@@ -37,7 +37,7 @@ def random_inputs(rng: np.random.Generator, neighbours: int, near: int) -> Agent
         rng.random(),
         rng.normal(size=(neighbours, 13)),
         rng.random(neighbours),
-        rng.normal(size=(near, 7)),
+        rng.normal(size=(near, 8)),
         rng.random(),
         int(rng.integers(0, 3)),
         rng.random(),
@@ -51,7 +51,7 @@ def test_known_is_the_inputs_in_a_row(seed: int, neighbours: int, near: int) -> 
 
 
 def test_known_has_heard_nothing_at_first() -> None:
-    nothing = PackedInputs(2, np.empty((0, 7))).unpack()
+    nothing = PackedInputs(2, np.empty((0, 8))).unpack()
     ages = (nothing.parent_age_s, nothing.leader_age_s, nothing.near_age_s)
     assert ages == (NEVER_RECEIVED_S,) * 3
     assert (nothing.estimate_age_s == NEVER_RECEIVED_S).all()

@@ -56,7 +56,7 @@ def inputs_of(own: np.ndarray, start_age_s: float, **changes) -> AgentInputs:
         0.01,
         np.empty((0, 13)),
         np.empty(0),
-        np.empty((0, 7)),
+        np.empty((0, 8)),
         0.0,
         MODE_FORMATION,
         start_age_s,
@@ -79,7 +79,7 @@ def numbers(value) -> bytes:
 def test_step_changes_nothing_and_repeats_itself(plant: str, uav: int) -> None:
     config = config_of(uav, plant)
     state = initial_state(message((0.5, 0.2, 7.0)), config)
-    near = np.array([[0.7, 0.4, 7.2, 1.5, 0.1, 0, 0]])
+    near = np.array([[0.7, 0.4, 7.2, 1.5, 0.1, 0, 0, 0]])
     inputs = inputs_of(message((0.5, 0.2, 7.0), (0.4, 0, 0)), 2.0, near=near)
     before = deepcopy((state, inputs, config))
     first = step(state, inputs, 2.0, DT, config)
@@ -331,7 +331,7 @@ def test_an_encounter_arms_the_time_base_of_the_way_back_and_the_next_one_anew()
     """The first tick without a row arms it, the second flies it; the command goes on where it was."""
     config, place = config_of(2), LEADER_AT + scenario_of("quadrotor").offset(2)
     flown = Flown(2, at=place + np.array([0.4, 0.4, 0.0]))
-    blocked = np.array([[*(flown.own[:3] - 0.3), 0.6, 0.0, 0.0, 0.0]])
+    blocked = np.array([[*(flown.own[:3] - 0.3), 0.6, 0.0, 0.0, 0.0, 0.0]])
     late = 8.0
     state = flown.agent.state
     for tick in range(3):

@@ -24,7 +24,7 @@ DECODERS = [
 def samples():
     odom = wire.OdometryTemplate("map", "uav1").encode(3, np.ones(13))
     six = wire.WrenchTemplate("uav1").encode(3, np.ones(6))
-    near = wire.encode_near(3, "map", np.ones((2, 7)))
+    near = wire.encode_near(3, "map", np.ones((2, 8)))
     return [
         odom,
         six,

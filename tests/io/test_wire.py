@@ -207,12 +207,12 @@ def test_no_number_of_a_setpoint_may_be_impossible(value):
 
 
 def near(rows):
-    return wire.encode_near(0, "map", np.asarray(rows, dtype=float).reshape(-1, 7))
+    return wire.encode_near(0, "map", np.asarray(rows, dtype=float).reshape(-1, 8))
 
 
 def test_near_objects_that_can_be():
-    assert wire.checked_near(near([])).values.shape == (0, 7)
-    rows = np.ones((40, 7))
+    assert wire.checked_near(near([])).values.shape == (0, 8)
+    rows = np.ones((40, 8))
     assert wire.checked_near(near(rows)).values.tobytes() == rows.tobytes()
     rows[3, 0] = np.nan  # "no return"
     assert len(wire.checked_near(near(rows)).values) == 39
@@ -221,13 +221,14 @@ def test_near_objects_that_can_be():
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ([[0, 0, 0, -1, 0, 0, 0]], "radius -1 m: expected 0 or more"),
+        ([[0, 0, 0, -1, 0, 0, 0, 0]], "radius -1 m: expected 0 or more"),
         (
-            [[0, 0, 0, 1, 0, 0, 0], [1e9, 0, 0, 1, 0, 0, 0]],
+            [[0, 0, 0, 1, 0, 0, 0, 0], [1e9, 0, 0, 1, 0, 0, 0, 0]],
             "position 1e\\+09, 0, 0: expected finite",
         ),
-        ([[0, 0, 0, 1, 1e5, 0, 0]], "velocity 100000, 0, 0: .*below 1000"),
-        (np.ones((1025, 7)), "1025 objects: expected at most 1024"),
+        ([[0, 0, 0, 1, 1e5, 0, 0, 0]], "velocity 100000, 0, 0: .*below 1000"),
+        ([[0, 0, 0, 1, 0, 0, 0, -1]], "above -1 m: expected 0 or more"),
+        (np.ones((1025, 8)), "1025 objects: expected at most 1024"),
     ],
 )
 def test_near_objects_that_cannot_be(rows, words):
@@ -235,23 +236,34 @@ def test_near_objects_that_cannot_be(rows, words):
         wire.checked_near(near(rows))
 
 
-EXACT = np.dtype(
-    {
-        "names": (*"xyz", *wire.EXACT_FIELDS, *wire.NEAR_FIELDS[3:]),
-        "formats": ["<f4"] * 3 + ["<f8"] * 7,
-        "offsets": [56, 60, 64, *range(0, 56, 8)],
-        "itemsize": 72,
-    }
-)
-COARSE = np.dtype([(name, "<f4") for name in wire.NEAR_FIELDS])
+def exact(above: bool) -> np.dtype:
+    """Our points; those of spheres have no field `above`."""
+    return np.dtype(
+        {
+            "names": (*"xyz", *wire.EXACT_FIELDS, *wire.NEAR_FIELDS[3 : 7 + above]),
+            "formats": ["<f4"] * 3 + ["<f8"] * (7 + above),
+            "offsets": [56, 60, 64, *range(0, 56, 8), *([72] if above else ())],
+            "itemsize": 72 + 8 * above,
+        }
+    )
+
+
+COARSE = np.dtype([(name, "<f4") for name in wire.NEAR_FIELDS[:7]])
 """As older bags and other programs have it."""
 
 
+def of_spheres(rows):
+    return np.column_stack((rows, np.zeros(len(rows))))
+
+
+@pytest.mark.parametrize("above", [0.0, 0.7])
 @given(STAMPS, FRAMES, ROWS)
-def test_near_as_rclpy(ros, stamp, frame, rows):
-    rows = rows + 1e5 + 1e-9
-    points = np.zeros(len(rows), EXACT)
-    for name, column in zip(EXACT.names, [0, 1, 2, *range(7)], strict=True):
+def test_near_as_rclpy(ros, above, stamp, frame, rows):
+    rows = of_spheres(rows + 1e5 + 1e-9)
+    rows[::2, 7] = above
+    kind = exact(bool(rows[:, 7].any()))
+    points = np.zeros(len(rows), kind)
+    for name, column in zip(kind.names, [0, 1, 2, *range(len(kind.names) - 3)], strict=True):
         points[name] = rows[:, column]
     ours, message = wire.encode_near(stamp, frame, rows), ros_cloud(stamp, frame, points)
     same_bytes(ros, ours, message)
@@ -263,7 +275,7 @@ def test_near_as_rclpy(ros, stamp, frame, rows):
 
 def test_near_objects_in_the_frame_of_a_body_are_refused():
     """They were taken for places in the world."""
-    cloud = wire.encode_near(0, "uav3/base_link", np.ones((1, 7)))
+    cloud = wire.encode_near(0, "uav3/base_link", np.ones((1, 8)))
     with pytest.raises(wire.WireError, match="frame 'uav3/base_link': expected"):
         wire.checked_near(cloud)
 
@@ -272,13 +284,13 @@ def test_near_objects_in_the_frame_of_a_body_are_refused():
 def test_near_of_an_older_bag(ros, stamp, frame, rows):
     points = np.array([tuple(row) for row in rows.tolist()], COARSE)
     decoded = wire.decode_near(ros.serialize_message(ros_cloud(stamp, frame, points)))
-    assert decoded.values.tobytes() == rows.tobytes()
+    assert decoded.values.tobytes() == of_spheres(rows).tobytes()
 
 
 def test_near_without_velocities():
     assert wire.decode_near(foreign_near()).values.tolist() == [
-        [0, 1, 2, 3, 0, 0, 0],
-        [4, 5, 6, 7, 0, 0, 0],
+        [0, 1, 2, 3, 0, 0, 0, 0],
+        [4, 5, 6, 7, 0, 0, 0, 0],
     ]
 
 
@@ -310,7 +322,7 @@ class TestSensorsOwnCloud:
             [("rgb", "<u4"), ("radius", "<f8"), ("z", "<f4"), ("y", "<f4"), ("x", "<f8")]
         )
         rows = self.decode(ros, dtype, [(9, 0.5, 3, 2, 1)])
-        assert rows.tolist() == [[1, 2, 3, 0.5, 0, 0, 0]]
+        assert rows.tolist() == [[1, 2, 3, 0.5, 0, 0, 0, 0]]
 
     def test_organised_with_padding_and_big_endian(self, ros):
         dtype = np.dtype([(n, ">f4") for n in ("x", "y", "z", "radius")])
@@ -321,17 +333,17 @@ class TestSensorsOwnCloud:
     def test_our_fields_organised(self, ros):
         points = [tuple(range(i, i + 7)) for i in range(6)]
         rows = self.decode(ros, COARSE, points, height=3, gap=4)
-        assert rows.tolist() == [list(p) for p in points]
+        assert rows.tolist() == [[*p, 0] for p in points]
 
     def test_points_without_return_are_left_out(self, ros):
         nan = float("nan")
         points = [(1, 2, 3, 1, 0, 0, 0), (nan, nan, nan, 1, 0, 0, 0), (4, 5, 6, 1, nan, 1, 2)]
         rows = self.decode(ros, COARSE, points)
-        assert rows.tolist() == [[1, 2, 3, 1, 0, 0, 0], [4, 5, 6, 1, 0, 1, 2]]
+        assert rows.tolist() == [[1, 2, 3, 1, 0, 0, 0, 0], [4, 5, 6, 1, 0, 1, 2, 0]]
 
     @pytest.mark.parametrize("missing", ["x", "y", "z", "radius"])
     def test_missing_field(self, ros, missing):
-        dtype = np.dtype([(n, "<f4") for n in wire.NEAR_FIELDS if n != missing])
+        dtype = np.dtype([(n, "<f4") for n in wire.NEAR_FIELDS[:7] if n != missing])
         with pytest.raises(wire.WireError, match=f"no field {missing} among"):
             self.decode(ros, dtype, np.zeros(2, dtype))
 
@@ -362,5 +374,5 @@ class TestSensorsOwnCloud:
 
 
 def test_wrong_rows():
-    with pytest.raises(wire.WireError, match=r"\(2, 6\): expected \(M, 7\)"):
+    with pytest.raises(wire.WireError, match=r"\(2, 6\): expected \(M, 8\)"):
         wire.encode_near(0, "map", np.ones((2, 6)))

@@ -12,7 +12,7 @@ from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict.separation import distances
 
-KEEP_OUT, RANGE = np.full(4, 0.5), 4.0
+KEEP_OUT, RANGE = np.array([(0.5, 0.0)] * 4), 4.0
 
 
 def fleet_of(*positions) -> np.ndarray:
@@ -34,14 +34,15 @@ def test_who_is_seen() -> None:
     obstacles = obstacles_of((2.5, 0, 0, 1.5, 0, 0, 0), (9, 0, 0, 1.5, 0, 0, 0))
     seen = near_objects(0, fleet, obstacles, KEEP_OUT, RANGE)
     np.testing.assert_allclose(
-        seen, [[1, 0, 0, 0.5, 0, 0, 0], [0, 4, 0, 0.5, 0, 0, 0], [2.5, 0, 0, 1.5, 0, 0, 0]]
+        seen,
+        [[1, 0, 0, 0.5, 0, 0, 0, 0], [0, 4, 0, 0.5, 0, 0, 0, 0], [2.5, 0, 0, 1.5, 0, 0, 0, 0]],
     )
     # the range counts to the centre, not to the surface
-    assert near_objects(3, fleet, obstacles, KEEP_OUT, RANGE).shape == (0, 7)
+    assert near_objects(3, fleet, obstacles, KEEP_OUT, RANGE).shape == (0, 8)
 
 
 def test_no_obstacles_and_nobody_else() -> None:
-    assert near_objects(0, fleet_of((0, 0, 0)), obstacles_of(), KEEP_OUT, RANGE).shape == (0, 7)
+    assert near_objects(0, fleet_of((0, 0, 0)), obstacles_of(), KEEP_OUT, RANGE).shape == (0, 8)
 
 
 def test_velocity_of_another_uav_is_the_worlds() -> None:
@@ -54,8 +55,10 @@ def test_velocity_of_another_uav_is_the_worlds() -> None:
 
 def test_a_pair_is_told_the_mean_of_both_keep_outs() -> None:
     fleet = fleet_of((0, 0, 0), (1, 0, 0), (2, 0, 0))
-    seen = near_objects(0, fleet, obstacles_of(), np.array([0.5, 1.1, 0.25]), RANGE)
-    assert seen[:, 3].tolist() == pytest.approx([0.8, 0.375])
+    keep_outs = np.array([(0.5, 1.5), (1.1, 3.3), (0.25, 0.75)])
+    seen = near_objects(0, fleet, obstacles_of((0, 1, 0, 1.5, 0, 0, 0)), keep_outs, RANGE)
+    assert seen[:, 3].tolist() == pytest.approx([0.8, 0.375, 1.5])
+    assert seen[:, 7].tolist() == pytest.approx([2.4, 1.125, 0.0])  # obstacles have no downwash
 
 
 @pytest.mark.parametrize(("away_m", "seen"), [(3.9, 1), (4.1, 0)])

@@ -134,6 +134,17 @@ def test_a_mission_goes_from_the_ground_to_the_ground(plant: str) -> None:
     assert np.ptp(rising[:, :, 2], axis=1).max() < 0.02
 
 
+def test_crazyflies_form_within_five_seconds_and_line_up_on_a_circle() -> None:
+    flown = flight("crazyflie_4", "quadrotor", load_scenario("crazyflie_4").timing.duration_s)
+    verdict = verdict_on(recording_of(flown))
+    assert verdict.verdict == MET
+    kinds = ["take_off", "form", "follow", "change", "hold", "land"]
+    assert [leg.kind for leg in verdict.mission] == kinds
+    form = verdict.mission[1]
+    assert form.due_s - form.begin_s == 5.0
+    assert separation(flown) > 0.4
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_formation_splits_and_joins_again(plant: str) -> None:
     """Each group on a trajectory of its own, far apart, and all in one shape at the end."""

@@ -194,7 +194,7 @@ def test_one_uav_alone_is_the_same_uav_in_the_swarm(plant: str, row: int) -> Non
     scenario, track = flown.scenario, flown.track
     config = agent_config(scenario, scenario.uav_ids[row])
     agent = Agent(config, track.odometry[0, row].copy())
-    near = np.empty((0, 7))
+    near = np.empty((0, 8))
     for tick in range(round(SHORT * scenario.timing.control_hz)):
         if tick % scenario.near_every == 0:
             near = flown.near(tick, row)
@@ -345,6 +345,31 @@ def test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear(dead, child):
     )
     assert holding[-1].tolist() == [uav == child for uav in scenario.uav_ids]
     assert closest >= scenario.formation.uav_keep_out_m
+
+
+@pytest.mark.parametrize("above_m", [None, 1.5])
+def test_two_that_cross_one_above_the_other_keep_out_of_the_downwash(above_m: float | None) -> None:
+    """Their plans cross 1 m apart in height, and beside each other 0.5 m are enough."""
+    starts = ([0, -1, 1], [2, 0, 1], [-2, 0, 2], [0, 4, 1])
+    crossing = {
+        "timing.duration_s": 6.0,
+        "leader.trajectory": {"kind": "hover", "position_m": [0, 0, 1]},
+        "formation.task": "relative_position",
+        "formation.offsets_m": {2: [-2, 0, 0], 3: [2, 0, 1], 4: [0, 4, 0]},
+        "formation.uav_keep_out_above_m": above_m,
+        "formation.turn_rad": 0.0,
+        **{f"uavs[{k}].position_m": place for k, place in enumerate(starts)},
+    }
+    flown = fly(load_scenario("experiment_4_calm", crossing))
+    away = flown.truth[:, 1, :3] - flown.truth[:, 2, :3]
+    closest = float(np.linalg.norm(away, axis=1).min())
+    assert closest == pytest.approx(1.0, abs=0.01) if above_m is None else closest > 1.1
+    verdict = verdict_on(recording_of(flown))
+    assert verdict.verdict == "met"
+    height = 0.5 if above_m is None else above_m
+    told = {(one.first, one.second): one.distance_m for one in verdict.separations}
+    least = np.linalg.norm(away * (1, 1, 0.5 / height), axis=1).min()
+    assert told["uav2", "uav3"] == pytest.approx(least, abs=1e-3)
 
 
 @pytest.mark.parametrize("plant", PLANTS)

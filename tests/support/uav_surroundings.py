@@ -83,7 +83,7 @@ class Others:
         ros.spin_until(flying)
 
     def near(self, stamp_ns, rows=()):
-        rows = np.array(rows, dtype=float).reshape(-1, 7)
+        rows = np.array(rows, dtype=float).reshape(-1, 8)
         self.send_near(wire.encode_near(stamp_ns, "map", rows))
 
     def neighbours(self, stamp_ns, without=()):

@@ -159,7 +159,7 @@ class Placement:
     def below(self, others: Array) -> str:
         """The reason why it cannot land: another vehicle in the air below it, too close beside to land past it.
 
-        `others` (M, 7): x y z keep-out vx vy vz.
+        `others` (M, 8): x y z keep-out vx vy vz above.
         """
         odometry = self._state_publisher.odometry
         if odometry is None:

@@ -18,6 +18,7 @@ import numpy as np
 from ptnsbc_core.curves.shape import places
 from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.nanoseconds import SECOND_NS
+from ptnsbc_core.tasks.near_constraints import ABOVE
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgePorts
 from ptnsbc_nodes.bridge.procedure.steps import STOP_S, Lasting, Step, Stream
@@ -53,7 +54,7 @@ class Sight(NamedTuple):
     velocity: Array  # (3,) [m/s], world
     reference_m_s: Array  # (3,) velocity of its place in the formation
     wanted_m_s: Array | None  # (3,) what its planner wants; None while it does not fly by it
-    others: Array  # (M, 7) x y z keep-out vx vy vz of the other vehicles
+    others: Array  # (M, 8) x y z keep-out vx vy vz above of the other vehicles
     settled_s: float  # time since the formation's deadline; negative before it
     places: Array | None = None
     """(K, 3) the places that it may have to take, where UAVs come and go: on its way to one it is faster than it."""
@@ -121,6 +122,8 @@ class FlightMonitor:
             return ""
         away = sight.others[:, 0:3] - sight.position
         closing = sight.others[:, 4:7] - sight.velocity
+        for height in away[:, 2], closing[:, 2]:  # in the scale of the keep-outs
+            height *= sight.others[:, 3] / np.maximum(sight.others[:, 3], sight.others[:, ABOVE])
         speed2 = np.einsum("ij,ij->i", closing, closing)
         soonest = -np.einsum("ij,ij->i", away, closing) / np.maximum(speed2, 1e-9)
         when = np.clip(soonest, 0.0, _SOON_S)

@@ -201,13 +201,14 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
 
 
 def planned_pairs(file: ScenarioFile) -> Pairs:
-    """All pairs of UAVs with their own places, from the starts of the file."""
+    """All pairs of UAVs with their own places, from the starts of the file, in the scale of their keep-outs."""
     starts = np.array([uav.position_m for uav in file.uavs])
     lead = file.uav_ids.index(file.leader.id)
     keep_outs = [file.keep_out_m(uav) for uav in file.uav_ids]
     places = np.concatenate([places_beside_leader(file, uav, np.zeros(1)) for uav in file.uav_ids])
     margin_m = float(file.gains.clearance.margin_m)
-    return pairs_of(starts - starts[lead], places, np.array(keep_outs), margin_m)
+    scale = file.formation.keep_out_scale
+    return pairs_of((starts - starts[lead]) * scale, places * scale, np.array(keep_outs), margin_m)
 
 
 @lru_cache(maxsize=64)

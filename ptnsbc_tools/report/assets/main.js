@@ -262,9 +262,9 @@ class Live {
 
   /** What leaves the least room. */
   nearest(poses, index, now) {
-    const { uavs, obstacles } = this.page.data.space;
+    const { uavs, obstacles, keepOutHeight } = this.page.data.space;
     const own = poses[index];
-    const gap = (place) => Math.hypot(own[0] - place[0], own[1] - place[1], own[2] - place[2]);
+    const gap = (place) => Math.hypot(own[0] - place[0], own[1] - place[1], (own[2] - place[2]) / keepOutHeight);
     const found = [
       ...uavs.map((uav, k) => ({
         name: `·${uav.id}`, distance: gap(poses[k]), limit: (uavs[index].keepOut + uav.keepOut) / 2, self: k === index,

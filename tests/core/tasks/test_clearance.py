@@ -149,7 +149,7 @@ def test_set_based_is_continuous_across_the_boundary() -> None:
 
 def test_without_rule_or_objects_nothing_changes() -> None:
     wanted = np.array([1.0, 2, 3])
-    for rule, near in ((AVOIDANCE_OFF, ROCK), (AVOIDANCE_SET_BASED, np.empty((0, 7)))):
+    for rule, near in ((AVOIDANCE_OFF, ROCK), (AVOIDANCE_SET_BASED, np.empty((0, 8)))):
         top, velocity = result(np.array([0.5, 0, 0]), wanted, near, config_of(rule))
         np.testing.assert_array_equal(velocity, wanted)
         assert top.jacobian.shape == (0, 3)

@@ -172,12 +172,12 @@ def test_a_neighbour_at_06_m_still_counts_after_two_seconds_of_silence() -> None
 def test_a_silent_sensor_makes_slow_whatever_it_saw(age: float, rule: int) -> None:
     """No faster than the UAV can stop within the range of the sensor, which falls with the silence."""
     config = config_of(rule, approach=SPEED_BRAKING)
-    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 7)), config, age=age)
+    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 8)), config, age=age)
     assert np.linalg.norm(velocity) == pytest.approx(
         braking_speed(4.0, 6.0, LATENCIES * (LAG + age))
     )
     off = config_of(AVOIDANCE_OFF)
-    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 7)), off, age=age)
+    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 8)), off, age=age)
     np.testing.assert_array_equal(velocity, [5.0, 5.0, 0])
 
 

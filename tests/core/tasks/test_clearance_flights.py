@@ -71,6 +71,17 @@ def test_a_moving_object_is_given_way_to() -> None:
     assert np.linalg.norm(positions[-1]) < 0.05
 
 
+@pytest.mark.parametrize("approach", [config_of, braking])
+@pytest.mark.parametrize(("above", "least"), [(0.0, 0.5), (1.5, 1.5)])
+def test_the_keep_out_above_another_one_is_its_own(approach, above: float, least: float) -> None:
+    """One that wants to come down on another one stops above it, and one that comes from beside nearer to it."""
+    near = standing(object_at((0.0, 0, 0), (0, 0, 0), 0.5, above))
+    for start, kept in (((0.0, 0.0, 3.0), least), ((3.0, 0.0, 0.0), 0.5)):
+        positions, _, _, _ = fly(approach(), lambda p: limit_norm(-p, 1.0), start, near, 10.0)
+        assert np.linalg.norm(positions[-1]) == pytest.approx(kept, abs=0.03)
+        assert np.linalg.norm(positions * (1, 1, 0.5 / least), axis=1).min() > 0.5 - 1e-6
+
+
 @pytest.mark.parametrize(("noise", "ratio"), [(0.0, 3.0), (0.01, 3.0), (0.02, 3.0)])
 def test_switched_chatters_where_set_based_glides(noise: float, ratio: float) -> None:
     """A pass 0.6 m off the centre: total variation of the velocity, and changes of the task stack."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from clearance_case import NOTHING_TOLD
 from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
@@ -14,16 +15,24 @@ from ptnsbc_core.tasks.near_constraints import (
     SIDE,
     SLOTS,
     USED,
+    ObstacleView,
     active_time,
     braking_speed,
     clear_velocities,
+    constraint,
     empty_memory,
     find_slot,
     side_of,
     tangent,
     update_memory,
 )
-from ptnsbc_core.types import PROFILE_PAPER, SPEED_LINEAR, ClearanceConfig, LoopGain
+from ptnsbc_core.types import (
+    PROFILE_PAPER,
+    SPEED_BRAKING,
+    SPEED_LINEAR,
+    ClearanceConfig,
+    LoopGain,
+)
 
 clear_velocities = on_arrays(clear_velocities)
 tangent = on_arrays(tangent)
@@ -93,6 +102,47 @@ def test_every_velocity_of_the_half_space_is_clear(seed: int) -> None:
     for velocity in rng.normal(size=(20, 3)) * 3.0:
         lack = max(space.bound - space.normal @ velocity, 0.0)
         assert not enters(away, keep_out, velocity + lack * space.normal, horizon)
+
+
+def ellipsoid_view(seed: int) -> tuple[np.ndarray, ObstacleView, np.ndarray]:
+    """A place outside of an ellipsoid around the origin, its view of it, and the semi-axes with the margin."""
+    rng = np.random.default_rng(seed)
+    radius, height, margin = rng.uniform(0.1, 1.0), rng.uniform(1.0, 4.0), 0.05
+    axes = np.array([radius, radius, radius * height]) + margin
+    away = rng.normal(size=3)
+    place = axes * away / np.linalg.norm(away) * rng.uniform(1.01, 4.0)
+    near = np.array([[0.0, 0.0, 0.0, radius, 0.0, 0.0, 0.0, radius * height]])
+    velocity = tuple(rng.normal(size=3) * 2.0)
+    view = ObstacleView(near, 0.0, empty_memory(), DT, velocity, velocity, 0.0, NOTHING_TOLD)
+    return place, view, axes
+
+
+@given(seed=seeds)
+def test_every_velocity_that_an_ellipsoid_leaves_is_clear_of_it(seed: int) -> None:
+    """Within the time in which the vehicle stops."""
+    place, view, axes = ellipsoid_view(seed)
+    config = CONFIG._replace(approach=SPEED_BRAKING, margin_m=0.05)
+    row = constraint(tuple(place), 0, view, False, config)
+    level = place / axes
+    room = (np.linalg.norm(level) - 1.0) * axes[0]
+    assert row.depth == pytest.approx(-room)
+    grows = np.linalg.norm(level / axes) / np.linalg.norm(level) * axes[0]  # per metre flown away
+    allowed = braking_speed(room, 6.0 * grows, LATENCIES * config.lag_s)
+    for velocity in np.random.default_rng(seed).normal(size=(20, 3)) * 2.0:
+        lack = max(row.bound - np.dot(row.normal, velocity), 0.0)
+        flown = (velocity + lack * np.array(row.normal)) / axes
+        assert not enters(level, 1.0, flown, room / allowed)
+
+
+@given(seed=seeds)
+def test_the_linear_bound_of_an_ellipsoid_is_the_decay_of_its_depth(seed: int) -> None:
+    place, view, _ = ellipsoid_view(seed)
+    config = CONFIG._replace(margin_m=0.05)
+    row = constraint(tuple(place), 0, view, False, config)
+    assert np.linalg.norm(row.normal) == pytest.approx(1.0)
+    later = place + 1e-6 * row.bound * np.array(row.normal)
+    rate = (constraint(tuple(later), 0, view, False, config).depth - row.depth) / 1e-6
+    assert rate == pytest.approx(-GAIN.kappa * row.depth, rel=1e-3, abs=1e-6)
 
 
 def pair_latency(lag: float) -> float:
@@ -177,7 +227,7 @@ CONFIG = ClearanceConfig(
 
 
 def near_of(*centres: tuple[float, float, float]) -> np.ndarray:
-    rows = np.zeros((len(centres), 7))
+    rows = np.zeros((len(centres), 8))
     rows[:, 0:3] = centres
     rows[:, 3] = 1.5
     return rows

@@ -15,8 +15,10 @@ from ptnsbc_core.tasks.signed_distance import (
     KIND,
     SIZE,
     TANGENT_RADIUS_M,
+    flattened,
     signed_distance,
     signed_distances,
+    slope,
     tangent_centre,
 )
 
@@ -156,3 +158,23 @@ def test_many_places_at_once() -> None:
     row = body("box")
     some = np.array([[4.0, 0.2, 1.0], [2.0, 1.5, 3.0]])
     np.testing.assert_array_equal(signed_distances(some, row), [at(one, row) for one in some])
+
+
+@given(place=places, flat=st.floats(0.1, 1.0))
+def test_the_slope_of_a_distance_whose_heights_count_less_is_its_gradient(place, flat) -> None:
+    def distance(where) -> float:
+        return float(np.linalg.norm(flattened(where, flat)))
+
+    assume(distance(place) > 0.05)
+    normal, rate = slope(np.divide(flattened(place, flat), distance(place)), flat)
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    assert flat - 1e-9 <= rate <= 1.0
+    steps = 1e-6 * np.eye(3)
+    gradient = [(distance(place + one) - distance(place - one)) / 2e-6 for one in steps]
+    np.testing.assert_allclose(rate * np.array(normal), gradient, atol=1e-6)
+
+
+@given(place=places)
+def test_where_heights_count_in_full_no_bit_changes(place) -> None:
+    assert flattened(place, 1.0) == place
+    assert slope(place, 1.0) == (place, 1.0)

@@ -38,7 +38,7 @@ def write_all(writer: BagWriter) -> None:
     for k in range(TICKS):
         stamp = START_NS + k * 10_000_000
         writer.write("/uav1/odom", stamp, odom.encode(stamp, np.arange(13.0) + k))
-        writer.write("/uav1/near", stamp, wire.encode_near(stamp, "map", np.ones((k % 3, 7))))
+        writer.write("/uav1/near", stamp, wire.encode_near(stamp, "map", np.ones((k % 3, 8))))
         writer.write("/uav1/setpoint/velocity", stamp, velocity.encode(stamp, np.full(6, k)))
         writer.write("/uav1/setpoint/wrench", stamp, wrench.encode(stamp, np.full(6, k)), stamp - 7)
         writer.write("/clock", stamp, wire.encode_clock(stamp))

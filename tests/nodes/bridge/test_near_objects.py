@@ -11,9 +11,9 @@ PLACES = {2: (2.0, 0.0, 3.0), 4: (0.0, 1.0, 3.0)}
 LINKED = (2,)
 
 
-def near_objects(near):
+def near_objects(near, **keys):
     """Those of UAV 3: UAV 2 has an edge with it, UAV 4 has none and is closer."""
-    made = load_scenario("experiment_4", {"mavlink.near": near})
+    made = load_scenario("experiment_4", {"mavlink.near": near, **keys})
     objects = NearObjects(made, 3, LINKED)
     for uav, place in PLACES.items():
         odometry = np.zeros(13)
@@ -45,6 +45,13 @@ def test_a_silent_vehicle_flies_on_may_have_stopped_on_its_way_and_is_not_forgot
     assert (stopped[0, 3] ** 2 - nearest**2).min() > 0.5**2 - 1e-9  # nowhere nearer to the way
     later = objects.rows(99.0, beside)
     assert later[later[:, 1] == 0.0].tolist() == stopped.tolist()  # it may hover there for good
+
+
+def test_the_keep_out_may_be_higher_than_wide():
+    for now_s in (10.0, 11.0):
+        rows = near_objects("all", **{"formation.uav_keep_out_above_m": 1.5}).uavs(now_s)
+        assert rows[:, 7] == pytest.approx(3.0 * rows[:, 3])
+    assert not near_objects("all").uavs(11.0)[:, 7].any()
 
 
 def test_everybody_avoids_a_vehicle_that_is_silent_or_has_left_the_formation():

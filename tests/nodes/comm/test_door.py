@@ -176,7 +176,7 @@ def body():
 
 MESSAGES = {
     "odometry": (wire.OdometryDecoder("map", "uav1/base_link"), odometry(body())),
-    "near": (wire.checked_near, wire.encode_near(5, "map", np.ones((3, 7)))),
+    "near": (wire.checked_near, wire.encode_near(5, "map", np.ones((3, 8)))),
     "wrench": (wire.checked_wrench, wire.WrenchTemplate("x").encode(5, np.ones(6))),
     "velocity": (wire.checked_velocity, wire.VelocityTemplate("x").encode(5, np.ones(6))),
     "leg": (decode_leg, leg("form")),

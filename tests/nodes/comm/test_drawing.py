@@ -54,12 +54,14 @@ def test_one_picture_a_period_of_everybody_where_last_heard():
 
 
 def test_the_spheres_of_two_uavs_touch_at_their_least_distance():
-    scenario = load_scenario("experiment_4", {"uavs.3.keep_out_m": 1.3})
+    changes = {"uavs.3.keep_out_m": 1.3, "formation.uav_keep_out_above_m": 1.5}
+    scenario = load_scenario("experiment_4", changes)
     pictures = OdometryMarkers(scenario)
     found = [pictures.of(topics.odom(uav).name, told(uav, 1)) for uav in (4, 3, 2, 1)][-1]
     markers = deserialize_message(found, MarkerArray).markers
     widths = {m.id: m.scale.x for m in markers if m.ns == "keep_outs"}
     assert widths[4] == 1.3
+    assert {m.scale.z / m.scale.x for m in markers if m.ns == "keep_outs"} == {3.0}
     for one, other in [(1, 4), (1, 2)]:
         assert (widths[one] + widths[other]) / 2 == scenario.keep_out_between(one, other)
 

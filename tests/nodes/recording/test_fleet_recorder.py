@@ -46,7 +46,7 @@ def messages(ticks: int) -> dict[topics.Topic, list[bytes]]:
     stamps = [k * TICK_NS for k in range(ticks)]
     return {
         topics.odom(1): [ODOM.encode(s, np.full(13, s)) for s in stamps],
-        topics.near(1): [wire.encode_near(s, "map", np.ones((2, 7))) for s in stamps],
+        topics.near(1): [wire.encode_near(s, "map", np.ones((2, 8))) for s in stamps],
         topics.velocity_setpoint(1): [VELOCITY.encode(s, np.ones(6)) for s in stamps],
         topics.CLOCK: [wire.encode_clock(s) for s in stamps],
         topics.EPOCH: [wire.HeaderTemplate("leg 1").encode(3 * TICK_NS)],

@@ -22,7 +22,7 @@ def message(tick: int, value: float = 0.0, size: int = 13) -> Stamped:
 
 
 def near(tick: int) -> Stamped:
-    return Stamped(tick * PERIOD, np.ones((2, 7)))
+    return Stamped(tick * PERIOD, np.ones((2, 8)))
 
 
 def link(delay_ns: int) -> Link:
@@ -67,7 +67,7 @@ def test_inputs_before_anything_is_heard():
     assert inputs.parent_age_s == inputs.leader_age_s == inputs.near_age_s == NEVER_RECEIVED_S
     assert inputs.estimates.shape == (2, 13)
     assert (inputs.estimate_age_s == NEVER_RECEIVED_S).all()
-    assert inputs.near.shape == (0, 7)
+    assert inputs.near.shape == (0, 8)
     assert inputs.mode == MODE_HOLD
 
 

@@ -27,7 +27,7 @@ def fed(controller: UavController, rng: np.random.Generator, k: int) -> StepTime
     """A controller that has heard everybody before step `k`, and that step."""
     now_ns = (k + 1) * STEP_NS
     controller.inbox.own = odometry(rng, now_ns - 1)
-    controller.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 7)))
+    controller.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 8)))
     for uav in SENDERS.states:
         controller.inbox.state_queues[uav].put(odometry(rng, now_ns - 3))
     for uav in SENDERS.estimators:

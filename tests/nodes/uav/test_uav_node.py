@@ -51,7 +51,7 @@ def test_lockstep_tick_waits_for_all_it_needs(ros, scenario):
 def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
     others = Others(ros, scenario, FOLLOWER)
     dt_ns = scenario.timing.dt_ns
-    rows = [[1.0, 2.0, 3.0, 0.5, 0.0, 0.25, 0.0]]
+    rows = [[1.0, 2.0, 3.0, 0.5, 0.0, 0.25, 0.0, 1.5]]
     others.form()
     for tick in range(3):
         others.odom(tick * dt_ns)
@@ -138,7 +138,7 @@ def test_no_message_ends_a_uav(ros, scenario):
     others = Others(ros, scenario, FOLLOWER, lockstep=False)
     others.announce(wire.HeaderTemplate("dance").encode(0))
     others.lose(wire.HeaderTemplate("uav" + 5000 * "9").encode(0))
-    no_radius = wire.encode_near(0, "map", np.ones((1, 7))).replace(b"radius\0", b"raddus\0")
+    no_radius = wire.encode_near(0, "map", np.ones((1, 8))).replace(b"radius\0", b"raddus\0")
     others.send_near(no_radius)
     others.send_odom(b"\0\1\0\0")
     others.send_state[LEADER](b"")

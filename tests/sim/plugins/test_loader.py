@@ -44,7 +44,7 @@ def drawn(seed: int, senders: int = 3) -> LawInputs:
         t=1.5,
         ids=np.arange(senders),
         ages_s=rng.uniform(0.0, 0.1, senders),
-        near=rng.normal(size=(4, 7)),
+        near=rng.normal(size=(4, 8)),
         **given,
         **own,
     )

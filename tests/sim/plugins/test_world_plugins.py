@@ -57,9 +57,9 @@ def test_our_plant_made_again_flies_as_ours(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_sensor_sees_what_it_returns(tmp_path: Path) -> None:
-    blind = _written(tmp_path, "    return np.zeros((0, 7))")
+    blind = _written(tmp_path, "    return np.zeros((0, 8))")
     seen = fly(load_scenario("paper_5_free", {**KEYS, "plugins.sensor": blind}))
-    assert seen.near(0, 1).shape == (0, 7)
+    assert seen.near(0, 1).shape == (0, 8)
     near = fly(load_scenario("paper_5_free", {**KEYS, **OF_WORLD}))
     full = fly(load_scenario("paper_5_free", KEYS))
     rows = {tuple(row) for row in full.near(0, 2)}
@@ -90,7 +90,7 @@ def test_the_world_gives_the_bits_of_the_headless_flight(scenario: str) -> None:
             r"mine\.py:2: mine: returned .*expected six numbers",
         ),
         ("plant", "    return np.zeros(16)", r"mine\.py:2: mine: returned .*expected 17 numbers"),
-        ("sensor", "    return np.zeros((50, 7))", r"mine\.py:2: mine: .*at most 4 rows of 7"),
+        ("sensor", "    return np.zeros((50, 8))", r"mine\.py:2: mine: .*at most 4 rows of 8"),
         ("sensor", "    return inputs.objects[99]", r"mine\.py:\d: mine: "),
     ],
 )

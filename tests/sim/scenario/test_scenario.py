@@ -238,6 +238,15 @@ def test_two_stay_the_mean_of_their_keep_outs_apart() -> None:
     assert scenario.widest_keep_out_m == pytest.approx(0.8)
 
 
+def test_a_keep_out_is_no_lower_than_it_is_wide() -> None:
+    scenario = load_scenario("paper_5", {"formation.uav_keep_out_above_m": 1.5})
+    assert scenario.formation.keep_out_scale.tolist() == [1.0, 1.0, pytest.approx(1 / 3)]
+    assert scenario.highest_keep_out_m == 1.5
+    low = r"formation\.uav_keep_out_above_m: 0\.4: expected at least formation\.uav_keep_out_m \(0\.5 m\)"
+    with pytest.raises(ScenarioError, match=low):
+        load_scenario("paper_5", {"formation.uav_keep_out_above_m": 0.4})
+
+
 def test_the_common_deadline_counts_on_the_weakest() -> None:
     shortest = load_scenario(
         "paper_5", {"gains.formation.deadline_s": "auto"}

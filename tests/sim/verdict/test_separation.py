@@ -52,6 +52,27 @@ def test_a_distance_is_compared_with_its_keep_out_as_it_is(
     assert verdict_on(fly(scenario=scenario)).verdict == kind
 
 
+@pytest.mark.parametrize(("beyond", "kind"), [(1e-9, "met"), (-1e-9, "violated")])
+def test_a_uav_above_another_one_keeps_the_height_of_its_keep_out(
+    fly: Fly, beyond: float, kind: str
+) -> None:
+    """The distance is told as that of two side by side."""
+    above = load_scenario(
+        "paper_5_free",
+        {
+            "timing.duration_s": 12.0,
+            "formation.offsets_m.4": [0.0, 0.0, 1.2],
+            "formation.uav_keep_out_m": 0.5,
+            "formation.uav_keep_out_above_m": 1.2 - beyond,
+        },
+    )
+    verdict = verdict_on(fly(scenario=above))
+    assert verdict.verdict == kind
+    nearest = verdict.separations[0]
+    assert (nearest.first, nearest.second, nearest.keep_out_m) == ("uav1", "uav4", 0.5)
+    assert nearest.distance_m == pytest.approx(0.5)
+
+
 def test_a_keep_out_entered_at_the_last_instant_counts(fly: Fly) -> None:
     verdict = verdict_on(fly({3: lambda t: np.where(t > 11.985, 0.8, 0.0)}))
     assert (verdict.verdict, verdict.inside_keep_out_s) == ("violated", 0.0)

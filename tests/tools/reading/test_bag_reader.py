@@ -173,7 +173,7 @@ def write_long(path: Path, scenario, ticks: int) -> Path:
         writer.write(topics.EPOCH.name, 0, HeaderTemplate("form").encode(0))
         for k in range(ticks):
             stamp = k * scenario.timing.dt_ns
-            near = encode_near(stamp, "map", np.zeros((0, 7)))
+            near = encode_near(stamp, "map", np.zeros((0, 8)))
             for topic in recorded:
                 data = near if topic.name.endswith("/near") else state.encode(stamp, still)
                 writer.write(topic.name, stamp, data)

@@ -16,7 +16,7 @@ from ptnsbc_sim.scenario.mavlink import Abort
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 
 LIMITS = Abort(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
-NOBODY, DT = np.empty((0, 7)), 0.02
+NOBODY, DT = np.empty((0, 8)), 0.02
 
 
 def fly(
@@ -53,7 +53,7 @@ def still(_t):
 
 
 def one_at(x, y, z, *velocity):
-    return np.array([[x, y, z, 0.5, *(velocity or (0, 0, 0))]], dtype=float)
+    return np.array([[x, y, z, 0.5, *(velocity or (0, 0, 0)), 0]], dtype=float)
 
 
 @pytest.mark.parametrize(("distance_m", "ends"), [(0.29, True), (0.31, False), (0.6, False)])
@@ -68,6 +68,15 @@ def test_the_bound_is_a_share_of_the_keep_out_of_the_pair():
     wide[0, 3] = 1.6
     reason, _ = fly(still, 2.0, others=np.vstack((wide, narrow)))
     assert "0.90 m from another vehicle" in reason
+
+
+@pytest.mark.parametrize(("height_m", "ends"), [(0.8, True), (1.0, False)])
+def test_in_the_downwash_the_bound_is_higher(height_m, ends):
+    """0.6 of a keep-out that is 1.5 m high, and 0.6 of its width of 0.5 m beside it."""
+    above, beside = one_at(0, 0, 8 + height_m), one_at(0.35, 0, 8)
+    above[0, 7] = beside[0, 7] = 1.5
+    reason, _ = fly(still, 2.0, others=np.vstack((above, beside)))
+    assert bool(reason) is ends
 
 
 @pytest.mark.parametrize(("distance_m", "ends"), [(1.5, True), (1.6, False)])
