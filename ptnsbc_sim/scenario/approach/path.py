@@ -33,7 +33,7 @@ APART_M = 0.2
 GRID_DEG = tuple(
     sign * degrees
     for first in (15.0, 7.5)
-    for degrees in np.arange(first, 181.0, 15.0).tolist()
+    for degrees in np.arange(first, 151.0, 15.0).tolist()
     for sign in (1, -1)
 )
 """The turns that are tried: steps of 15 degrees and then those between, of each the smaller ones first.
@@ -41,7 +41,6 @@ GRID_DEG = tuple(
 A positive turn passes on the right, as avoidance does.
 """
 
-_NEARLY = 0.7  # of clear: with it a pair keeps the default keep-out by the plan
 _OF_ENDS = 0.85  # of its distance at start and end a pair keeps, where these are nearer than clear
 _SAMPLES = 241
 
@@ -116,23 +115,17 @@ def distances(pairs: Pairs, turn: float) -> Array:
 def candidates(pairs: Pairs) -> tuple[float, ...]:
     """Turns [rad], the one to take first: 0 where straight paths keep all pairs clear, and always at the end.
 
-    Before it come the turns that keep all pairs clear, the smallest first, and then those that nearly do, the clearest
-    first. A turn that keeps less is worse than none: avoidance takes turned paths for told, and resolves a meeting on
-    straight ones better.
+    Before it come the turns that keep all pairs clear, in the order of the grid. A turn that leaves one pair unclear is
+    worse than none: avoidance takes turned paths for told, and resolves a meeting on straight ones better.
     """
-    straight = _kept(pairs, 0.0)
-    if straight >= 1.0:
+    if _are_clear(pairs, 0.0):
         return (0.0,)
-    kept = {turn: _kept(pairs, turn) for turn in map(math.radians, GRID_DEG)}
-    clear = (turn for turn, share in kept.items() if share >= 1.0)
-    nearly = (turn for turn, share in kept.items() if max(_NEARLY, straight) < share < 1.0)
-    return (*clear, *sorted(nearly, key=lambda turn: -kept[turn]), 0.0)
+    turns = [math.radians(degrees) for degrees in GRID_DEG]
+    return (*(turn for turn in turns if _are_clear(pairs, turn)), 0.0)
 
 
-def _kept(pairs: Pairs, turn: float) -> float:
-    """Least share [1] of the distance from which it is clear that a pair keeps; 1 where all are clear."""
-    shares = distances(pairs, turn) / np.maximum(pairs.clear, _ROUNDING)
-    return float(shares.min(initial=1.0))
+def _are_clear(pairs: Pairs, turn: float) -> bool:
+    return bool(np.all(distances(pairs, turn) >= pairs.clear))
 
 
 _SHORTER = 0.98  # from one deadline that is tried to the next
