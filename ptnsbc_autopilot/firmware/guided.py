@@ -220,8 +220,10 @@ class Guided:
         """Move the velocity to the requested one, within speed, acceleration and jerk.
 
         The acceleration follows `k (requested - shaped)` with k = jerk / acceleration, plus the requested one:
-        a first order of k for small steps (`shape_vel_accel` of AP_Math/control.cpp).
+        a first order of k for small steps (`shape_vel_accel` of AP_Math/control.cpp). The requested velocity itself
+        goes on with its acceleration until the next setpoint (`update_vel_accel_xy`).
         """
+        self._requested = self._requested + dt * self._requested_acceleration
         goal = self._requested.copy()
         speed = math.hypot(goal[0], goal[1])
         if speed > limits.speed:

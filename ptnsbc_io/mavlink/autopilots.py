@@ -136,6 +136,7 @@ class Autopilot(NamedTuple):
     bytewise: bool  # of the integers among its parameters
     stream_first: bool  # its mode needs setpoints before and during, and it takes off by one; else by NAV_TAKEOFF
     attitude_only: bool
+    integrates: bool  # an acceleration beside a velocity changes it, also when no setpoint follows
     rates: Rates
     parameters: tuple[str, ...]
 
@@ -192,6 +193,7 @@ PX4 = Autopilot(
     bytewise=True,
     stream_first=True,
     attitude_only=False,
+    integrates=False,
     rates=Rates.HEADING,
     parameters=(
         "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "NAV_DLL_ACT", "COM_DISARM_PRFLT", "MPC_XY_VEL_MAX",
@@ -208,6 +210,7 @@ ARDUPILOT = Autopilot(
     bytewise=False,
     stream_first=False,
     attitude_only=False,
+    integrates=True,
     rates=Rates.HEADING_BY_ALL,
     parameters=(
         "GUID_TIMEOUT", "GUID_OPTIONS", "MOT_THST_HOVER", "FS_EKF_ACTION", "FS_GCS_ENABLE", "BATT_FS_LOW_ACT",
@@ -223,6 +226,7 @@ GENERIC = Autopilot(
     bytewise=False,
     stream_first=True,
     attitude_only=True,
+    integrates=False,
     rates=Rates.ALL,
     parameters=(),
 )

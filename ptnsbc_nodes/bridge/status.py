@@ -195,7 +195,7 @@ def bridge_status(
         "setpoints_foreign": str(state.controller.foreign),
         "setpoints_invalid": str(state.controller.invalid),
         **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
-        **{f"clamped_{what}": str(count) for what, count in stream.guard.clamped.items()},
+        **{f"clamped_{what}": str(count) for what, count in tuple(stream.guard.clamped.items())},
         **endpoints.refusals.values(),
     }
     stamp_ns = bridge.ports.ros_ns()

@@ -331,9 +331,14 @@ class SetpointStream:
             acceleration = self._integral.acceleration(velocity, dt, limit)
             if self.lead is not None and self._link.setpoint == "velocity":
                 level, push = self.lead.setpoint(velocity[0:2], self.drag.value)
-                velocity = guard.velocity(np.append(level, velocity[2]), tick.odometry[0:3], moving)
                 length = math.hypot(*push)
                 acceleration[0:2] = push * min(1.0, limit / length) if length > 0.0 else 0.0
+                if self.response is not None and self.response.shaping_1_s is not None:
+                    # The shaping makes the same of it: k (u - v) + a is k (u + a / k - v).
+                    level = level + acceleration[0:2] / self.response.shaping_1_s
+                velocity = guard.velocity(np.append(level, velocity[2]), tick.odometry[0:3], moving)
+            if self._autopilot.integrates:  # a link that falls silent would leave it accelerating
+                acceleration = None
         if self._link.setpoint == "position_velocity":
             target = self._integral.position(velocity, tick.odometry, dt)
             position = guard.position(target) - tick.offset

@@ -107,6 +107,15 @@ def test_the_timeout_is_the_parameter(flying):
     assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
 
 
+def test_an_acceleration_goes_on_until_the_timeout(flying):
+    """Measured on 4.7-dev: `update_vel_accel_xy` moves the velocity that was requested."""
+    flying.target(velocity=(1, 0, 0), acceleration=(1, 0, 0), mask=0x0C07)
+    flying.run(2.5)
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) > 2.5
+    flying.run(6.0)
+    assert np.linalg.norm(flying.vehicle.flight.truth.velocity_enu) < 0.1
+
+
 @pytest.mark.parametrize("frame", [1, 7, 8, 9])
 def test_four_frames_are_taken(flying, frame):
     flying.run(3.0, lambda: flying.target(velocity=(1, 0, 0), frame=frame))

@@ -1,5 +1,8 @@
 """The vehicle's clock: offsets from round trips, jumps, and vehicles that do not answer."""
 
+import sys
+import threading
+
 import pytest
 
 from ptnsbc_io.mavlink.timesync import TimeSync
@@ -19,6 +22,25 @@ def test_even_trips_give_the_offset():
     assert trip(sync, 110.0, 0.002, 0.002)
     assert sync.to_host_time(11.0) == pytest.approx(111.0)
     assert sync.synchronised
+
+
+def test_the_round_trip_may_be_asked_for_while_answers_come():
+    """A bridge died of it in flight: the thread of its status asked when the thread of its link took an answer."""
+    sync, over, before_s = TimeSync(), threading.Event(), sys.getswitchinterval()
+
+    def answer():
+        while not over.is_set():
+            trip(sync, 110.0, 0.002, 0.002)
+
+    answers = threading.Thread(target=answer)
+    sys.setswitchinterval(1e-6)
+    try:
+        answers.start()
+        assert {round(sync.round_trip_s, 6) for _ in range(20_000)} <= {0.0, 0.004}
+    finally:
+        over.set()
+        answers.join()
+        sys.setswitchinterval(before_s)
 
 
 def test_the_quickest_trip_counts():

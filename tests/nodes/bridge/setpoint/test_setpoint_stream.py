@@ -12,6 +12,7 @@ from ptnsbc_io.mavlink.autopilots import SetpointLimits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
+from ptnsbc_nodes.bridge.setpoint.velocity_lead import VelocityLead
 from ptnsbc_nodes.bridge.state_publisher import PublishedOdometry, SetpointReply
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.mavlink import Geofence
@@ -128,6 +129,22 @@ def test_acceleration_feed_forward(scenario):
             assert message.afy == pytest.approx(2.0, rel=0.02)
     assert message.type_mask == 0x0807
     assert abs(message.afy) < 0.01
+
+
+def test_a_vehicle_that_would_go_on_accelerating_gets_no_acceleration(scenario):
+    """A link that fell silent for 1.8 s left an ArduCopter 13 m away, at 5 m/s: it integrates what it was sent last."""
+    values = {"PSC_NE_VEL_P": 2.0, "PSC_NE_VEL_I": 1.0, "PSC_NE_VEL_D": 0.25, "PSC_NE_POS_P": 1.0}
+    shaping = {"PSC_JERK_NE": 5.0, "WP_ACC": 2.5, "ATC_INPUT_TC": 0.15}  # a first order of 2 1/s
+    stream = make(scenario, autopilot="ardupilot", feed_forward=True)
+    stream.take_parameters({**values, **shaping})
+    stream.fit_to_vehicle()
+    ahead = VelocityLead(stream.response, 1.0 / scenario.mavlink.rate_hz)
+    for n in range(40):
+        wanted = [min(0.004 * n, 0.1), 0, 0, 0, 0, 0]  # 0.2 m/s^2 until 0.1 m/s
+        message = send(stream, Stream.PLANNER, 1.0 + 0.02 * n, values=wanted)
+        assert message.type_mask == 0x09C7
+        level, push = ahead.setpoint(np.array(wanted[0:2]), stream.drag.value)
+        assert message.vy == pytest.approx(level[0] + push[0] / 2.0, abs=1e-6)
 
 
 def test_position_and_velocity_hold_where_velocity_alone_drifts(scenario):
