@@ -11,6 +11,7 @@ import hmac
 import json
 import math
 import queue
+import resource
 import secrets
 import socket
 import threading
@@ -41,6 +42,7 @@ ORDERS = ("hold", "land", *STOPS)
 """The orders that a page may give; each is confirmed there. Those of STOPS are commands of ptnsbc."""
 _MOST_PAGES = 16
 _MOST_CONNECTIONS = 64  # with those that have shown no token yet
+_DESCRIPTORS = 4  # that a connection of websockets takes
 _LARGEST_ORDER = 1024  # bytes
 _LOOK_S = 0.2
 _LOADING_S = 3.0  # from a page to its socket
@@ -149,7 +151,10 @@ def live_page() -> str:
 
 
 class _Listener(socket.socket):
-    """A listening socket with `_MOST_CONNECTIONS` at a time; whoever comes then is sent away."""
+    """A listening socket with `_MOST_CONNECTIONS` at a time; whoever comes then is sent away.
+
+    All together take at most a quarter of the descriptors of this process: the flight needs the others.
+    """
 
     def __init__(self, port: int) -> None:
         super().__init__(socket.AF_INET, socket.SOCK_STREAM)
@@ -170,7 +175,8 @@ class _Listener(socket.socket):
                 time.sleep(_SETTLE_S)  # no event says that a descriptor is free again
                 continue
             self._taken = [each for each in self._taken if each.fileno() != -1]
-            if len(self._taken) < _MOST_CONNECTIONS:
+            spare = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4
+            if len(self._taken) < min(_MOST_CONNECTIONS, spare // _DESCRIPTORS):
                 self._taken.append(connection)
                 return connection, address
             connection.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import http.client
 import json
+import os
+import resource
 import socket
 import threading
 import time
@@ -143,6 +145,18 @@ def test_a_crowd_without_a_token_is_bounded_and_ends(
             assert get(server, f"/?token={server.token}")[0] == 200
             return
     pytest.fail("nobody gets in after the crowd has left")
+
+
+def test_a_crowd_leaves_the_flight_its_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a limit of 256 it took them all, and the launcher of the fleet ended."""
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 64))
+    with LiveServer(Feed(), lambda: "") as server:
+        before = len(os.listdir("/proc/self/fd"))
+        crowd = [socket.create_connection((HOST, server.port), timeout=10) for _ in range(12)]
+        assert [one.recv(1) for one in crowd[4:]] == [b""] * 8
+        assert len(os.listdir("/proc/self/fd")) - before - len(crowd) <= 16
+        for one in crowd:
+            one.close()
 
 
 def test_a_connection_that_does_not_let_go_keeps_no_flight_from_ending(
