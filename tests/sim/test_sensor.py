@@ -72,7 +72,7 @@ def test_a_body_is_seen_by_its_surface_as_a_sphere_that_touches_it(
     assert len(rows) == seen
     for row in rows:
         np.testing.assert_allclose(
-            row, [9 + TANGENT_RADIUS_M, 2, 3, TANGENT_RADIUS_M + 0.5, 0, 0, 0]
+            row, [9 + TANGENT_RADIUS_M, 2, 3, TANGENT_RADIUS_M + 0.5, 0, 0, 0, 0]
         )
 
 
