@@ -150,6 +150,7 @@ def test_a_crowd_without_a_token_is_bounded_and_ends(
 def test_a_crowd_leaves_the_flight_its_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
     """At a limit of 256 it took them all, and the launcher of the fleet ended."""
     monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 64))
+    monkeypatch.setattr("ptnsbc_tools.live.server._LOADING_S", 60.0)  # none leaves by itself
     with LiveServer(Feed(), lambda: "") as server:
         before = len(os.listdir("/proc/self/fd"))
         crowd = [socket.create_connection((HOST, server.port), timeout=10) for _ in range(12)]
