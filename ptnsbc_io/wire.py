@@ -47,6 +47,7 @@ _WRENCH_LIMITS = ("force", LARGEST_FORCE_N), ("torque", LARGEST_TORQUE_N_M)
 _VELOCITY_LIMITS = ("velocity", LARGEST_SPEED_M_S), ("angular velocity", LARGEST_RATE_RAD_S)
 
 _ODOMETRY = "nav_msgs/Odometry"
+_POSE_STAMPED = "geometry_msgs/PoseStamped"
 _VELOCITY = "geometry_msgs/TwistStamped"
 _WRENCH = "geometry_msgs/WrenchStamped"
 _HEADER = "std_msgs/Header"
@@ -236,6 +237,29 @@ def decode_odometry(buf: bytes) -> Stamped:
     raw = bytearray(buf[at : at + _POSE])
     raw += buf[twist_at : twist_at + _VECTOR_PAIR]
     return Stamped(stamp_ns, _floats(raw, order))
+
+
+def decode_pose(buf: bytes) -> Stamped:
+    """Stamp [ns] and (7,) position x y z [m], quaternion x y z w of a PoseStamped with any frame name."""
+    order, stamp_ns, at = _after_frames(buf, _POSE_STAMPED, 1, _POSE)
+    return _finite(stamp_ns, _floats(bytearray(buf[at : at + _POSE]), order))
+
+
+def decode_transform(buf: bytes, child_frame_id: str) -> Stamped | None:
+    """The same of the transform to this frame in a TFMessage; None where it has none."""
+    reader = Reader(buf, "tf2_msgs/TFMessage")
+    for _ in range(*reader.numbers("I")):
+        stamp_ns, _parent, child = reader.stamp(), reader.text(), reader.text()
+        pose = reader.numbers("ddddddd", 8)
+        if child == child_frame_id:
+            return _finite(stamp_ns, np.array(pose))
+    return None
+
+
+def _finite(stamp_ns: int, pose: Floats) -> Stamped:
+    if not np.isfinite(pose).all():
+        raise WireError(f"pose {pose}: expected finite numbers")
+    return Stamped(stamp_ns, pose)
 
 
 # std_msgs/Int64MultiArray and Float64MultiArray: rows of numbers whose layout names each of them.

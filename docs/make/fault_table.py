@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_nodes.bridge.procedure.steps import (
     AWAY_S,
     HEARTBEAT_LOST_S,
-    LAND_S,
     RECOVERED_S,
     STALE_S,
     STOP_S,
@@ -260,7 +260,7 @@ ANSWERS = (
         f"{STALE_S:g} s",
         f"{_HOLD}, {_STOP}, {_LAND}",
         f"held where it is; after {STOP_S:g} s the stream stops, and the failsafe of the vehicle acts; a vehicle that "
-        f"{LAND_S:g} s later is still in the mode of its bridge is landed; once the stream stopped, exit code 1",
+        f"{PX4.land_s:g} s later is still in the mode of its bridge is landed; once the stream stopped, exit code 1",
         f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
         (
             f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",

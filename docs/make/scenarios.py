@@ -23,6 +23,7 @@ _BLOCKS = {
     "uavs": model.UavBlock,
     "faults": FaultBlock,
     "mavlink": model.Mavlink,
+    "ros": model.Ros,
     "plugins": model.Plugins,
 }
 
@@ -39,8 +40,13 @@ def regions() -> dict[str, str]:
 
 
 def _own(of: Iterator[Row]) -> Iterator[Row]:
-    """Without the keys of an obstacle's trajectory, which stand below `leader` already."""
-    return (row for row in of if not row.key.startswith("obstacles[].trajectory."))
+    """Without what stands there already: an obstacle's trajectory below `leader`, a vehicle's keys above `vehicles`."""
+    seen: set[tuple[str, str]] = set()
+    for row in of:
+        own = (row.key.rpartition("vehicles.N.")[2], row.meaning)
+        if own not in seen and not row.key.startswith("obstacles[].trajectory."):
+            yield row
+        seen.add(own)
 
 
 def cells_table(of: Iterable[Row]) -> str:

@@ -139,6 +139,9 @@ class Autopilot(NamedTuple):
     integrates: bool  # an acceleration beside a velocity changes it, also when no setpoint follows
     rates: Rates
     parameters: tuple[str, ...]
+    land_s: float = (
+        10.0  # still in its own mode after so long without setpoints, it is told to land
+    )
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """The name of the mode in a HEARTBEAT."""
@@ -230,7 +233,17 @@ GENERIC = Autopilot(
     rates=Rates.ALL,
     parameters=(),
 )
-AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC)}
+ROS = GENERIC._replace(
+    name="ros",
+    number=mavlink.MAV_AUTOPILOT_RESERVED,  # no autopilot has it
+    modes={(0, 0): "HOLD", (1, 0): "GUIDED", (2, 0): "LAND", (3, 0): "RTL", (4, 0): "TAKEOFF", (5, 0): "MANUAL"},
+    attitude_only=False,
+    land_s=1.5,  # nobody knows what it does alone
+)  # fmt: skip
+"""A vehicle behind topics and services of ROS 2, as its link tells of it in the words of MAVLink."""
+AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC, ROS)} | {
+    "ros_take_off": ROS._replace(stream_first=False)  # has a service for it
+}
 
 
 def limits(values: Mapping[str, float]) -> SetpointLimits:

@@ -206,6 +206,8 @@ class MavlinkLink:
         self.counts: Counter[str] = Counter(dict.fromkeys(_DROPPED, 0))
         self.ignored: frozenset[int] = frozenset()
         """Wanted messages that carry nothing new at present: they are not decoded either."""
+        self.resumed = False
+        """True if another bridge has left the vehicle in flight; one of MAVLink says its state itself."""
         self.received = 0
         self.sent = 0
         self.unsent = 0
@@ -246,6 +248,10 @@ class MavlinkLink:
         self.sent += done
         self.unsent += not done
         return done
+
+    def command(self, _request: object, message: Any) -> bool:
+        """Send the message of a request of the bridge; False when it could not be sent."""
+        return self.send(message)
 
     def close(self) -> None:
         """Close the port."""

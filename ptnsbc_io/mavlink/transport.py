@@ -180,6 +180,10 @@ class _Serial(Transport):
 def connect(text: str) -> Transport:
     """Open `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580`, `tcp:10.0.0.2:5760`, `serial:/dev/ttyACM0:921600`."""
     kind, _, where = text.partition(":")
+    if kind == "ros":
+        raise ConnectError(
+            f"{text}: a vehicle behind topics of ROS 2 is reached by its bridge alone"
+        )
     if kind == "serial" and where:
         device, _, baud = where.partition(":")
         if baud and not baud.isdecimal():

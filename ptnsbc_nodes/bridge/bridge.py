@@ -119,6 +119,7 @@ class Bridge:
         """Fly on with the vehicle of a bridge that died, in its frame of the world, if this one may fly any."""
         if frame and self.procedure.allow_arming:
             self.state_publisher.world.resume(frame)
+            self.link.resumed = True
             self.procedure.takes_over = True
 
     def flight_s(self) -> float:
@@ -197,7 +198,8 @@ class Bridge:
         publisher.report_presence(output.in_formation and not failsafe)
         if output.command is not None:
             height_m = self._mavlink.takeoff_height_m
-            self.link.send(self.maintenance.commands.message(output.command, height_m))
+            message = self.maintenance.commands.message(output.command, height_m)
+            self.link.command(output.command, message)
         odometry, offset = publisher.odometry, publisher.world.offset
         if odometry is not None and offset is not None:
             reply, armed = publisher.controller.newest, self.vehicle.armed

@@ -69,6 +69,7 @@ def serve_bridge(
     try:
         from ptnsbc_nodes.bridge.bridge import open_link
         from ptnsbc_nodes.bridge.bridge_node import BridgeNode, BridgeOptions
+        from ptnsbc_nodes.bridge.ros_vehicle.topics import open_ros_link
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
     if scenario.plant.kind != "quadrotor":
@@ -82,7 +83,8 @@ def serve_bridge(
     with ros_context(argv), ros_node("bridge", f"/uav{uav}", scenario) as node:
         if not environment.prefer_punctuality():
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
-        link, options = open_link(settings, key), BridgeOptions(allow_arming, with_fleet, key)
+        link = open_ros_link(node, scenario, uav) or open_link(settings, key)
+        options = BridgeOptions(allow_arming, with_fleet, key)
         bridge = BridgeNode(node, scenario, uav, edges, link, options, lifetime.end)
         lifetime.bridge = bridge
         bridge.start()

@@ -92,7 +92,7 @@ class StatePublisher:
             return "GPS fix lost"
         position_s = vehicle.pose.position_s
         if position_s is None or now_s - position_s > _FRESH_S:
-            return "no LOCAL_POSITION_NED or ODOMETRY from the vehicle"
+            return "no position from the vehicle: neither LOCAL_POSITION_NED nor ODOMETRY"
         if self.world.missing:
             return f"the world frame lacks {self.world.missing}"
         if not self._sync.ready(now_s):
@@ -250,7 +250,7 @@ class WorldFrame:
 
     def __init__(self, scenario: Scenario, uav_id: int) -> None:
         settings, link = scenario.mavlink, scenario.vehicle_link(uav_id)
-        self._radius_m = frames.EARTH_RADIUS_M[link.autopilot]
+        self._radius_m = frames.EARTH_RADIUS_M.get(link.autopilot, frames.EARTH_RADIUS_M["generic"])
         self._leads = uav_id == scenario.leader.id
         self._on_ground = settings.height == "ground"
         self._surveyed = None if link.origin_m is None else np.array(link.origin_m)

@@ -95,7 +95,7 @@ class FleetOptions:
 
     scenario: Scenario
     lockstep: bool = False
-    backend: Literal["sim", "mavlink"] = "sim"
+    backend: Literal["sim", "mavlink", "ros"] = "sim"
     allow_arming: bool = False  # of real vehicles
     bag: Path | None = None  # folder to record into
     overwrite: bool = False  # replace that folder
@@ -110,6 +110,11 @@ class FleetOptions:
     objection: Callable[[Scenario], str] | None = None
     # Makes the live view that runs beside the flight, from the environment of the processes and the scenario file.
     beside: Callable[[Mapping[str, str], Path], AbstractContextManager[object]] | None = None
+
+    @property
+    def bridged(self) -> bool:
+        """True if real vehicles fly, each behind a bridge."""
+        return self.backend != "sim"
 
     @property
     def shared(self) -> bool:
@@ -143,7 +148,7 @@ class FleetOptions:
         if self.shared and self.ready_timeout_s is None:
             return math.inf  # people start the other computers
         default = 30.0 + 5.0 * len(self.scenario.uav_ids)
-        if self.backend == "mavlink":
+        if self.bridged:
             default += _AIRBORNE_S
         return default if self.ready_timeout_s is None else self.ready_timeout_s
 
@@ -155,7 +160,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     The sim comes last: in real time a UAV ticks from its first odometry on, and twenty ticking UAVs make the others
     load three times as long.
     """
-    scenario, bridged = options.scenario, options.backend == "mavlink"
+    scenario, bridged = options.scenario, options.bridged
     common = ["--scenario", str(scenario_file)]
     common += ["--lockstep"] if options.lockstep else []
     common += ["--recorded"] if options.recorded else []
@@ -179,7 +184,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
 def names(scenario: Scenario, backend: str) -> list[str]:
     """All processes of a flight on all computers, the recorder first."""
     ids = scenario.uav_ids
-    vehicles = [f"bridge{i}" for i in ids] if backend == "mavlink" else [SIM]
+    vehicles = [SIM] if backend == "sim" else [f"bridge{i}" for i in ids]
     return [RECORDER, *vehicles, *(f"uav{i}" for i in ids)]
 
 
@@ -223,10 +228,10 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
             if fault.kind == "restart" and fault.struck_uav is not None:
                 window = map(str, fault.window_ns(0))
                 arguments += ["--silent", str(fault.struck_uav), *window]
-    if options.backend == "mavlink":
+    if options.bridged:
         arguments += ["--draw", str(scenario_file)]
     chosen = {
-        "--truth": options.scenario.imperfect or options.backend == "mavlink",
+        "--truth": options.scenario.imperfect or options.bridged,
         "--slots": options.scenario.formation.has_open_slots,
         "--stream": options.scenario.takes_setpoints,
         "--signed": options.scenario.security == "signed",

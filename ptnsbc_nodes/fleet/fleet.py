@@ -131,7 +131,7 @@ def prepare(options: FleetOptions) -> None:
     load_fleet(options.scenario)
     for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
         UavPlugins.of(options.scenario, uav)
-    if options.backend == "sim":
+    if not options.bridged:
         load_world(options.scenario)
 
 
@@ -186,7 +186,7 @@ def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, 
 @contextmanager
 def _listed(options: FleetOptions, domain: int, progress: Report) -> Iterator[None]:
     """Inside the `with` `ptnsbc stop` knows all bridges of this flight; an order of an earlier flight is released."""
-    if options.backend != "mavlink":
+    if not options.bridged:
         yield
         return
     folder = runtime_folder(domain, options.namespace)
@@ -209,7 +209,7 @@ def check_options(options: FleetOptions) -> None:
 
 def _objections(options: FleetOptions) -> Iterator[str]:
     """The options that do not go together, and the way out."""
-    bridged, shared = options.backend == "mavlink", options.shared
+    bridged, shared, backend = options.bridged, options.shared, f"--backend {options.backend}"
     if options.namespace:
         try:
             validate_namespace(options.namespace)
@@ -230,13 +230,13 @@ def _objections(options: FleetOptions) -> Iterator[str]:
     if bridged and options.wait and shared:
         yield (
             "--wait: a launcher keeps the vehicles of its own computer from arming, not those of others: expected no "
-            "--only with --backend mavlink"
+            f"--only with {backend}"
         )
     if bridged and options.lockstep:
         yield "--lockstep: real vehicles do not wait for messages: expected --backend sim, or no --lockstep"
     if bridged and not options.allow_arming:
         yield (
-            "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a vehicle without arming "
+            f"{backend} arms and flies vehicles: expected --allow-arming; to look at a vehicle without arming "
             "it: ptnsbc bridge"
         )
 
@@ -249,8 +249,8 @@ def _objections_to_processes(options: FleetOptions) -> Iterator[str]:
     named, without = f"--processes {count}", "expected no --processes"
     if not 1 <= count <= most:
         yield f"{named}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"
-    if options.backend == "mavlink" or options.shared:
-        other = "--only" if options.shared else "--backend mavlink"
+    if options.bridged or options.shared:
+        other = "--only" if options.shared else f"--backend {options.backend}"
         yield f"{named}: each UAV has a process of its own with {other}: {without}"
     shared = {uav for group in groups(options) if len(group) > 1 for uav in group}
     for fault in options.scenario.faults:

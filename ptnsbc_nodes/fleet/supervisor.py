@@ -67,7 +67,7 @@ class Supervisor:
                     return
             return
         begin_s = time.monotonic() + self._node.leader.begins_in_s() + _AFTER_START_S
-        bridged = self._options.backend == "mavlink"
+        bridged = self._options.bridged
         while self._flying() and not self._stop.came:
             self._look()
             if time.monotonic() > begin_s:
@@ -84,7 +84,7 @@ class Supervisor:
         self._was_led = False  # reported once
         self._progress("the computer with the recorder is gone")
         # Real vehicles fly on: their operator decides whether they land.
-        return self._options.backend == "sim"
+        return not self._options.bridged
 
     def _flying(self) -> bool:
         """True if both a vehicle's process and a UAV are left, as far as this computer knows."""

@@ -99,7 +99,7 @@ class TakeOff:
 
         All bridges here are heard by then: `Introduction` starts none again that may be flying its vehicle.
         """
-        check, bridged = self._check, self._options.backend == "mavlink"
+        check, bridged = self._check, self._options.bridged
         while bridged and self._silent() and self._wait(deadline):
             pass
         while check.holds and check.lost() and self._wait(deadline):
@@ -209,7 +209,7 @@ class FlightCheck:
         self._options, self._node = options, node
         self._met = False  # nothing speaks against arming
         judged = options.objection is not None or options.wait
-        self.holds = judged and options.backend == "mavlink"  # vehicles are kept from arming
+        self.holds = judged and options.bridged  # vehicles are kept from arming
 
     def serve(self) -> None:
         """Answer /formation/arm, by which an operator lets the vehicles arm."""
@@ -232,7 +232,7 @@ class FlightCheck:
 
     def refusal(self) -> str:
         """The reason why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
-        if self._options.backend != "mavlink":
+        if not self._options.bridged:
             return "simulated vehicles need no arming: /formation/start begins the flight"
         if not self._options.wait:
             return "the vehicles arm by themselves: with --wait the fleet leaves it to an operator"
@@ -328,4 +328,4 @@ class Introduction:
             for name in (f"bridge{uav}" for uav in child.command.uavs)
             if name in vehicles
         )
-        return self._options.backend == "mavlink" and bool(led) and not waits
+        return self._options.bridged and bool(led) and not waits

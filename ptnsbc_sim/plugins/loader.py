@@ -42,8 +42,8 @@ class PluginError(PtnsbcError):
     """A plug-in that cannot be loaded, or that failed."""
 
 
-def function_in(file: Path, name: str, what: str) -> FunctionType:
-    """A function of a file, which is executed as a module of its own.
+def named_in(file: Path, name: str, what: str, kind: type = FunctionType) -> Any:
+    """A function, or a class (`type`), of a file, which is executed as a module of its own.
 
     Args:
         file: its whole path.
@@ -51,7 +51,7 @@ def function_in(file: Path, name: str, what: str) -> FunctionType:
         what: what it is, for messages: "a law".
 
     Raises:
-        PluginError: there is no such file or function, the file raises an error, or no code may run.
+        PluginError: there is no such file or name, the file raises an error, or no code may run.
     """
     if os.environ.get(USER_CODE) == REFUSED:
         raise PluginError(f"{file}: the code of {what}, which this command does not run")
@@ -78,9 +78,10 @@ def function_in(file: Path, name: str, what: str) -> FunctionType:
         place = f"{file}:{lines[-1]}" if lines else str(file)
         raise PluginError(f"{place}: {type(error).__name__}: {error}") from error
     function = vars(module).get(name)
-    if not isinstance(function, FunctionType):
-        kind = "no such name" if function is None else type(function).__name__
-        raise PluginError(f"{file}: {name}: {kind}: expected a function, {what}")
+    if not isinstance(function, kind):
+        found = "no such name" if function is None else type(function).__name__
+        expected = "a function" if kind is FunctionType else "a class"
+        raise PluginError(f"{file}: {name}: {found}: expected {expected}, {what}")
     return function
 
 
@@ -177,7 +178,7 @@ def load_plugin(name: str, named: str) -> Plugin:
             f"{name}: {named}: a bag names a {name} and does not carry it: expected a scenario whose {name} "
             "you give"
         )
-    function = function_in(file, wanted, f"a {name}")
+    function = named_in(file, wanted, f"a {name}")
     try:
         inspect.signature(function).bind(*hook.example)
     except TypeError as error:

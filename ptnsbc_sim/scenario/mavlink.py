@@ -17,8 +17,9 @@ from ptnsbc_sim.scenario.fields import (
     UavId,
     Vec3,
 )
+from ptnsbc_sim.scenario.ros import RosVehicle
 
-Autopilot = Literal["px4", "ardupilot", "generic"]
+Autopilot = Literal["px4", "ardupilot", "generic", "ros"]
 SetpointKind = Literal["velocity", "position_velocity", "attitude"]
 
 FIRST_PORT = 14540
@@ -122,7 +123,7 @@ class Mavlink(Block):
     """Flight controllers instead of the simulator."""
 
     autopilot: Autopilot = "px4"
-    """Autopilot of the vehicles; `generic` accepts attitude targets only."""
+    """Autopilot of the vehicles; `generic` accepts attitude targets only, `ros` has the topics of the block `ros`."""
     setpoint: SetpointKind = "velocity"
     """Kind of setpoint, see [hardware.md](hardware.md#setpoints)."""
     rate_hz: Annotated[Count, Field(ge=20, le=100)] = 50
@@ -161,10 +162,11 @@ class VehicleLink(NamedTuple):
 
     connect: str
     sysid: int
-    autopilot: Autopilot
+    autopilot: str  # name of a profile of ptnsbc_io/mavlink/autopilots.py
     setpoint: SetpointKind
     origin_m: tuple[float, float, float] | None
     signing_key: str | None
     velocity_loop_1_s: float | None
     tilt_lag_s: float | None
     label: str
+    ros: RosVehicle | None = None  # without MAVLink

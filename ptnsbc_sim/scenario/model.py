@@ -37,6 +37,7 @@ from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
 from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.ros import Ros
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -420,6 +421,8 @@ class Plugins(Block):
     """Acceleration that acts on every UAV, besides the other disturbances."""
     sensor: FunctionName | None = None
     """Near-object sensor of every UAV."""
+    vehicle: FunctionName | None = None
+    """Class of the vehicles of `--backend ros`, see [vehicles.md](vehicles.md#a-driver-of-your-own)."""
 
 
 class ScenarioFile(Block):
@@ -452,6 +455,8 @@ class ScenarioFile(Block):
     plugins: Plugins = Plugins()
     """More functions of the user, each as `FILE.py:NAME` or as the name of an entry point:"""
     mavlink: Mavlink = Mavlink()
+    ros: Ros | None = None
+    """Vehicles behind topics and services of ROS 2, see [vehicles.md](vehicles.md). Default: none."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]
     """Starts and disturbances of the UAVs, at least one."""
 
@@ -499,8 +504,19 @@ class ScenarioFile(Block):
         connect = vehicle.connect or f"udpin:127.0.0.1:{FIRST_PORT + number}"
         autopilot = vehicle.autopilot or self.mavlink.autopilot
         setpoint = vehicle.setpoint or self.mavlink.setpoint
-        rest = (getattr(vehicle, name) for name in VehicleLink._fields[4:])
-        return VehicleLink(connect, vehicle.sysid or number + 1, autopilot, setpoint, *rest)
+        rest = (getattr(vehicle, name) for name in VehicleLink._fields[4:-1])
+        link = VehicleLink(connect, vehicle.sysid or number + 1, autopilot, setpoint, *rest)
+        if autopilot != "ros" or self.ros is None:
+            return link
+        ros = self.ros.vehicle(uav_id)
+        whole = self.plugins.vehicle is not None or "position" in ros.fields
+        return link._replace(
+            connect=f"ros:{ros.name}",
+            autopilot="ros_take_off" if "take_off" in ros.services else autopilot,
+            setpoint="position_velocity" if whole else "velocity",
+            origin_m=link.origin_m or (0.0, 0.0, 0.0),
+            ros=ros,
+        )
 
     def max_speed_m_s(self, uav_id: int) -> float:
         """Limit of the commanded speed of one UAV."""

@@ -177,15 +177,15 @@ class Scenario(ScenarioFile):
         begins_s = (one.begin_s for one in self.legs if isinstance(one.leg, LandLeg))
         return next(map(nanoseconds, begins_s), None)
 
-    def bridged(self) -> Scenario:
+    def bridged(self, *, ros: bool = False) -> Scenario:
         """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing.
 
-        A leg `take_off` begins where their own take-off ends.
+        A leg `take_off` begins where their own take-off ends. `ros`: they are behind the topics of the block `ros`.
 
         Raises:
             ScenarioError: an override does not fit.
         """
-        overrides = dict(self.mavlink.overrides)
+        overrides = {**self.mavlink.overrides, **({"mavlink.autopilot": "ros"} if ros else {})}
         first = None if self.mission is None else self.mission.legs[0]
         if isinstance(first, TakeOffLeg) and first.from_m is None:
             overrides["mission.legs[0].from_m"] = self.mavlink.takeoff_height_m

@@ -336,6 +336,9 @@ def _mavlink(file: ScenarioFile) -> Problems:
         below = key.split(".")[0] in ("gains", "formation")
         yield from unless(below, f"mavlink.overrides.{key}", "", "a key below gains or formation")
     links = {uav: file.vehicle_link(uav) for uav in ids}
+    for link in links.values():
+        known = link.autopilot != "ros" or link.ros is not None
+        yield from unless(known, "ros", "missing", "topics, for mavlink.autopilot: ros")
     for what in ("sysid", "connect", "signing_key"):
         values = {uav: getattr(link, what) for uav, link in links.items()}
         own = {uav: str(value) for uav, value in values.items() if value is not None}

@@ -34,7 +34,7 @@ def check(
     scenario: ScenarioArgument,
     choices: FlightChoices,
     backend: Annotated[
-        Literal["sim", "mavlink"],
+        Literal["sim", "mavlink", "ros"],
         option("--backend", "Check what the fleet flies with this backend."),
     ] = "sim",
     fly: Annotated[
@@ -68,8 +68,8 @@ def check(
     chosen = choices.of(scenario)
     if picture is not None:
         format_of(picture)  # refused before the flights, not after them
-    if backend == "mavlink":
-        chosen = chosen.bridged()
+    if backend != "sim":
+        chosen = chosen.bridged(ros=backend == "ros")
     report = flying.check(chosen, dry_runs=runs if fly else 0, progress=True, strict=strict)
     if json:
         findings = [dataclasses.asdict(finding) for finding in report]
@@ -79,7 +79,7 @@ def check(
         for part in check_report(report, verbose=verbose):
             console.out().print(part)
         same = " with the same options" if choices.keys() or choices.slow else ""
-        how = "simulate" if backend == "sim" else "fleet --backend mavlink"
+        how = "simulate" if backend == "sim" else f"fleet --backend {backend}"
         if report.ok:
             console.show(f"next: {console.program()} {how} {scenario}{same}")
     if picture is not None and (report.ok or report.flown is not None):

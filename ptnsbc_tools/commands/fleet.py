@@ -53,8 +53,11 @@ class Parts:
         ),
     ] = False
     backend: Annotated[
-        Literal["sim", "mavlink"],
-        option("--backend", "The simulator, or a MAVLink bridge per flight controller."),
+        Literal["sim", "mavlink", "ros"],
+        option(
+            "--backend",
+            "The simulator, or a bridge per vehicle: of MAVLink, or of topics of ROS 2.",
+        ),
     ] = "sim"
     allow_arming: AllowArmingOption = False
     only: Annotated[
@@ -128,7 +131,7 @@ def fleet(
 ) -> None:
     """Fly a scenario with one ROS 2 process per UAV, and judge it.
 
-    The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
+    The vehicles are simulated, or real ones (--backend mavlink, ros). Nothing leaves this
     host without --network.
     """
     ros.select_network(network, domain)
@@ -171,11 +174,11 @@ def fly_and_judge(
     Without a bag in `parts` the recording is temporary. `check` flies dry runs, and refuses what they refuse;
     None does so with flight controllers. `picture` is a PNG to draw.
     """
-    bridged = parts.backend == "mavlink"
+    bridged = parts.backend != "sim"
     if bridged:
         for line in _flight_overrides(scenario):
             console.say(line)
-        scenario = scenario.bridged()
+        scenario = scenario.bridged(ros=parts.backend == "ros")
     preflight(scenario, quiet=showing.json)
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
         from ptnsbc_nodes.fleet.fleet import prepare

@@ -376,3 +376,24 @@ class TestSensorsOwnCloud:
 def test_wrong_rows():
     with pytest.raises(wire.WireError, match=r"\(2, 6\): expected \(M, 8\)"):
         wire.encode_near(0, "map", np.ones((2, 6)))
+
+
+def test_poses_and_transforms_as_rclpy(ros):
+    from geometry_msgs.msg import PoseStamped, TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    pose = PoseStamped(header=ros_header(5, "world"))
+    pose.pose.position.y, pose.pose.orientation.w = 2.0, 0.5
+    message = wire.decode_pose(ros.serialize_message(pose))
+    assert (message.stamp_ns, message.values.tolist()) == (5, [0, 2, 0, 0, 0, 0, 0.5])
+    frames = TFMessage()
+    for stamp, name in enumerate(("base", "cf231")):
+        one = TransformStamped(header=ros_header(stamp, "world"), child_frame_id=name)
+        one.transform.translation.z = 3.0
+        frames.transforms.append(one)
+    data = ros.serialize_message(frames)
+    message = wire.decode_transform(data, "cf231")
+    assert (message.stamp_ns, message.values.tolist()) == (1, [0, 0, 3, 0, 0, 0, 1])
+    assert wire.decode_transform(data, "cf5") is None
+    with pytest.raises(WireError, match="cut"):
+        wire.decode_transform(data[:-8], "cf231")

@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="fly all UAVs in K processes, not in one for each",
     )
     parser.add_argument("--wait", action="store_true", help="leave the start to an operator")
-    parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
+    parser.add_argument("--backend", choices=("sim", "mavlink", "ros"), default="sim")
     parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
     parser.add_argument("--log-dir", type=Path, help="where each process writes its log")
     return run(parser, argv, _fly)
@@ -42,8 +42,10 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
     from ptnsbc_nodes.runtime.node_process import flown
 
-    arguments.bridged = arguments.backend == "mavlink"
-    scenario = flown(arguments, {"timing.duration_s": arguments.duration})
+    arguments.bridged = arguments.backend != "sim"
+    autopilot = "ros" if arguments.backend == "ros" else None
+    keys = {"timing.duration_s": arguments.duration, "mavlink.autopilot": autopilot}
+    scenario = flown(arguments, keys)
     names = {field.name for field in fields(FleetOptions)} & vars(arguments).keys() - {"scenario"}
     options = FleetOptions(scenario, **{name: getattr(arguments, name) for name in names})
     result = run_fleet(options, _say)

@@ -268,6 +268,8 @@ class FleetUav:
 class MavlinkFleet:
     """All vehicles of a scenario; `run` moves the clock."""
 
+    KIND = FleetUav
+
     def __init__(
         self, scenario, kind=None, gnss="rtk", delay_s=0.005, seed=1, spread_m=0.0, count=None
     ):
@@ -277,7 +279,7 @@ class MavlinkFleet:
         path = scenario.source
         vehicle_starts = starts(Fleet(None, path, gnss, spread_m, None, seed))
         for uav_id, start in list(zip(scenario.uav_ids, vehicle_starts, strict=True))[:count]:
-            self.uavs[uav_id] = FleetUav(self, uav_id, start, kind)
+            self.uavs[uav_id] = self.KIND(self, uav_id, start, kind)
         self.ticks = 0
 
     def set_parameter(self, name, value):

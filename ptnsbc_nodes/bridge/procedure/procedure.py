@@ -29,7 +29,6 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     BEFORE_ARMING,
     FLYING,
     HEARTBEAT_LOST_S,
-    LAND_S,
     LIFTED_M,
     OVER,
     RECOVERED_S,
@@ -443,7 +442,7 @@ def _failsafe(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         kept = memory.good.seconds(now.now_s) > RECOVERED_S + _MODE_LAG_S
         kept = kept and age_s > RECOVERED_S + 2 * _MODE_LAG_S
         return Transition(Step.YIELDED) if kept else None
-    wait_s = _MODE_LAG_S if flight.stands else LAND_S
+    wait_s = _MODE_LAG_S if flight.stands else flight.autopilot.land_s
     if age_s > wait_s and (own or flight.stands) and heard:
         # Nobody has taken it over: its failsafe only waits, as that of an ArduCopter in GUIDED does.
         return Transition(Step.LAND, f"landed after {wait_s:g} s without setpoints")

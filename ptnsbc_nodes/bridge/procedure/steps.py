@@ -12,8 +12,6 @@ STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""
 STOP_S = 0.5
 """The vehicle is held no longer than this. Then the stream stops, and the vehicle's own failsafe acts."""
-LAND_S = 10.0
-"""A vehicle that is still in the mode of its bridge after so long without setpoints is told to land."""
 AWAY_S = 30.0
 """The time for which a vehicle is held without its controller where UAVs come and go; then it is told to land."""
 HEARTBEAT_LOST_S = 3.0

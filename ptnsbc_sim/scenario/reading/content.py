@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from ptnsbc_io.point_cloud_file import PointCloudFileError
 from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, map_text
-from ptnsbc_sim.plugins.loader import PluginError, function_in, place_of
+from ptnsbc_sim.plugins.loader import PluginError, named_in, place_of
 from ptnsbc_sim.scenario.fields import MOST_SAMPLES, without_unit
 from ptnsbc_sim.scenario.mission.path_files import text_of, waypoints_of
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, offsets_of
@@ -291,7 +291,7 @@ def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
     if ".py:" in kind:
         file, _, name = _beside(kind, folder).rpartition(":")
         try:
-            return function_in(Path(file), name, f"a {what}")
+            return named_in(Path(file), name, f"a {what}")
         except PluginError as error:
             raise ScenarioError(f"{where}.kind: {error}") from error
     try:

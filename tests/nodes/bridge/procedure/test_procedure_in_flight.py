@@ -8,11 +8,10 @@ pytest.importorskip("pymavlink")
 
 from procedure_flight import DT, Flight
 
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, AUTOPILOTS
 from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
     AWAY_S,
-    LAND_S,
     STOP_S,
     CommandRequest,
     Step,
@@ -81,9 +80,16 @@ def test_a_failsafe_that_only_waits_ends_with_a_landing():
     flight = Flight(ARDUPILOT).flying()
     stopped = flight.snapshot.now_s
     flight.run(until=Step.LAND, controller_age_s=1.0)
-    assert flight.snapshot.now_s - stopped == pytest.approx(LAND_S, abs=3 * DT)
+    assert flight.snapshot.now_s - stopped == pytest.approx(ARDUPILOT.land_s, abs=3 * DT)
     flight.run(until=Step.DONE)
     assert "landed after 10 s without setpoints" in flight.procedure.fault
+
+
+def test_a_vehicle_without_a_failsafe_of_its_own_lands_soon():
+    flight = Flight(AUTOPILOTS["ros"]).flying()
+    stopped = flight.snapshot.now_s
+    flight.run(until=Step.LAND, controller_age_s=1.0)
+    assert flight.snapshot.now_s - stopped == pytest.approx(1.5, abs=3 * DT)
 
 
 def test_a_silent_vehicle_is_not_landed_by_a_mode_it_had_once():

@@ -1,0 +1,229 @@
+"""A vehicle by the names of its topics and services, in process and with executors of ROS."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("pymavlink")
+
+sys.path.insert(0, str(Path(__file__).parents[4] / "examples" / "vehicles"))
+
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from point_masses import PointMass
+from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.mavlink.flight_mode import FlightMode
+from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
+from ptnsbc_nodes.bridge.ros_vehicle.topics import open_ros_link
+from ptnsbc_sim.scenario import load_scenario
+
+pytestmark = pytest.mark.ros
+
+UP = (None, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]), 0.5)
+
+
+def laboratory(**ros_keys):
+    keys = {f"ros.{key}": value for key, value in ros_keys.items()}
+    return load_scenario("lab_4", keys).bridged(ros=True)
+
+
+@pytest.fixture
+def opened(ros):
+    """A vehicle of the laboratory, with other keys; its link."""
+
+    def make(uav=1, **keys):
+        return open_ros_link(ros.node("bridge"), laboratory(**keys), uav)
+
+    return make
+
+
+@pytest.fixture
+def heard(ros):
+    """What comes on a topic, and a function that publishes on one."""
+    other = ros.node("other")
+
+    def listen(kind, topic):
+        got = []
+        other.create_subscription(kind, topic, got.append, 10)
+        return got
+
+    def publish(message, topic, until):
+        publisher = other.create_publisher(type(message), topic, 10)
+        ros.spin_until(publisher.get_subscription_count)
+        publisher.publish(message)
+        ros.spin_until(until)
+
+    listen.publish = publish
+    return listen
+
+
+def test_a_vehicle_of_mavlink_has_no_link_of_topics(ros):
+    assert open_ros_link(ros.node("bridge"), load_scenario("lab_4").bridged(), 1) is None
+
+
+@pytest.mark.parametrize("frame", ["enu", "ned"])
+def test_poses_odometry_and_transforms_tell_where_it_is(opened, heard, frame):
+    half = math.sqrt(0.5)
+    north = {"enu": (0.0, 0.0, half, half), "ned": (0.0, 0.0, 0.0, 1.0)}[frame]
+    place = {"enu": (1.0, 2.0, 3.0), "ned": (2.0, 1.0, -3.0)}[frame]
+
+    def fill(point, turned):
+        point.x, point.y, point.z = place
+        turned.x, turned.y, turned.z, turned.w = north
+
+    pose, odometry, transform = PoseStamped(), Odometry(), TransformStamped(child_frame_id="uav1")
+    fill(pose.pose.position, pose.pose.orientation)
+    fill(odometry.pose.pose.position, odometry.pose.pose.orientation)
+    fill(transform.transform.translation, transform.transform.rotation)
+    odometry.twist.twist.linear.y = 0.4
+    other = TransformStamped(child_frame_id="uav2")
+    messages = {
+        "geometry_msgs/msg/PoseStamped": pose,
+        "nav_msgs/msg/Odometry": odometry,
+        "tf2_msgs/msg/TFMessage": TFMessage(transforms=[other, transform]),
+    }
+    for kind, message in messages.items():
+        name = kind.rpartition("/")[2].lower()
+        link = opened(pose=f"/{name}/v{{n}}", pose_type=kind, frame=frame)
+        heard.publish(message, f"/{name}/v1", lambda link=link: link.position.any())
+        assert link.position.tolist() == pytest.approx([1.0, 2.0, 3.0])
+        assert link._yaw == pytest.approx(0.5 * math.pi)
+        left = {"enu": 0.4, "ned": -0.4}[frame] if message is odometry else 0.0
+        assert link.velocity.tolist() == pytest.approx([0.0, left, 0.0])
+
+
+def test_what_is_no_pose_is_refused_and_counted(opened, heard):
+    link, message = opened(), PoseStamped()
+    message.pose.position.x = math.nan
+    heard.publish(message, "/uav1/pose", lambda: link.counts)
+    assert link.counts == {"/uav1/pose": 1}
+    assert (
+        link.refusals.newest
+        == "/uav1/pose: pose [nan  0.  0.  0.  0.  0.  1.]: expected finite numbers"
+    )
+    assert not link.position.any()
+
+
+def test_setpoints_are_twists_and_a_position_is_flown_to_by_a_velocity(ros, opened, heard):
+    link, got = opened(), heard(TwistStamped, "/uav1/cmd_vel")
+    for setpoint in (UP, (np.array([0.0, 3.0, 4.0]), None, None, 0.0)):
+        got.clear()
+        ros.spin_until(lambda setpoint=setpoint: got or link.fly(*setpoint))
+        message = got[0]
+        if setpoint is UP:
+            assert message.header.frame_id == "map"
+            assert message.header.stamp.sec > 1e9
+            assert message.twist.linear.z == 0.3
+            assert message.twist.angular.z == pytest.approx(0.5)
+    assert message.twist.linear.y == pytest.approx(0.6)  # at most 1 m/s
+    assert message.twist.linear.z == pytest.approx(0.8)
+
+
+def test_setpoints_are_a_type_of_the_user_with_a_mapping_of_fields(ros, opened, heard):
+    fields = {
+        "position": "pose.pose.position",
+        "orientation": "pose.pose.orientation",
+        "velocity": "twist.twist.linear",
+        "acceleration": "twist.twist.angular",
+    }
+    keys = {"output": "/{name}/full", "output_type": "nav_msgs/msg/Odometry", "fields": fields}
+    link, got = opened(**keys, frame="ned"), heard(Odometry, "/uav1/full")
+    full = (np.array([1.0, 2.0, 3.0]), *UP[1:])
+    ros.spin_until(lambda: got or link.fly(*full))
+    pose, twist = got[0].pose.pose, got[0].twist.twist
+    assert (pose.position.x, pose.position.y, pose.position.z) == (2.0, 1.0, -3.0)
+    assert (twist.linear.x, twist.angular.z) == (0.2, -3.0)
+    assert 2 * math.atan2(pose.orientation.z, pose.orientation.w) == pytest.approx(
+        0.5 * math.pi - 0.5
+    )
+    assert laboratory(**keys).vehicle_link(1).setpoint == "position_velocity"
+
+
+def test_services_are_called_in_turn_and_their_answer_counts(ros, opened):
+    server, called = ros.node("server"), []
+
+    def on_set(request, response):
+        called.append(request.data)
+        response.success = True
+        return response
+
+    def on_stop(_, response):
+        called.append("stop")
+        response.success, response.message = len(called) > 3, "not yet"
+        return response
+
+    server.create_service(SetBool, "/uav1/arm", on_set)
+    server.create_service(Trigger, "/uav1/stop", on_stop)
+    arm = {"service": "/{name}/arm", "type": "std_srvs/srv/SetBool", "request": {"data": True}}
+    stop = {"service": "/{name}/stop"}
+    services = {"arm": [arm, arm], "stop": [stop], "land": [{"service": "/nobody"}]}
+    link = opened(services=services)
+    ros.spin_until(lambda: all(c.service_is_ready() for c, _ in link._calls["arm"]))
+    for request in (CommandRequest.OWN_MODE, CommandRequest.ARM):
+        link.request(request)
+    link.request(CommandRequest.ARM)  # not again while it is not answered
+    ros.spin_until(lambda: link.armed)
+    assert (link.mode, called) == (FlightMode.OWN, [True, True])
+    texts = []
+
+    def refused():
+        texts.extend(m.text for m in link.poll(0.0) if m.get_type() == "STATUSTEXT")
+        return texts
+
+    link.request(CommandRequest.KILL)
+    ros.spin_until(refused)
+    assert link.armed
+    link.request(CommandRequest.KILL)
+    ros.spin_until(lambda: not link.armed)
+    link.request(CommandRequest.LAND)
+    refused()
+    assert texts == ["disarm in flight: not yet", "land: /nobody: nobody offers this service"]
+
+
+def test_without_services_it_is_armed_and_lands_when_somebody_says_so(opened):
+    link = opened(services={})
+    link.request(CommandRequest.ARM)
+    assert link.armed
+    link.request(CommandRequest.KILL)
+    (text,) = [m.text for m in link.poll(0.0) if m.get_type() == "STATUSTEXT"]
+    assert text == "disarm in flight: ros.services has no stop"
+
+
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"output_type": "no_msgs/msg/Such"}, "UAV 1: ros: No module named 'no_msgs'"),
+        ({"output_type": "std_msgs/msg/Such"}, r"UAV 1: ros: .* no attribute 'Such'"),
+        (
+            {"fields": {"velocity": "twist.speed"}},
+            "UAV 1: ros: twist.speed: speed: expected one of linear, angular",
+        ),
+        ({"fields": {"velocity": "header"}}, "UAV 1: ros: "),
+        (
+            {"services": {"arm": [{"service": "/arm", "request": {"data": True}}]}},
+            r"UAV 1: ros: .* no attribute 'data'",
+        ),
+    ],
+)
+def test_types_and_fields_that_are_not_there_are_named(opened, keys, why):
+    with pytest.raises(PtnsbcError, match=why):
+        opened(**keys)
+
+
+def test_a_vehicle_of_forty_lines_takes_off_and_lands(ros, opened):
+    link = opened()
+    mass = PointMass(ros.node("vehicle"), "uav1", (0.0, 0.0, 0.0), 0.3)
+    ros.spin_until(link.alive)
+    ros.spin_until(lambda: mass.armed or link.request(CommandRequest.ARM))
+    ros.spin_until(lambda: link.armed)
+    link.request(CommandRequest.TAKEOFF)
+    ros.spin_until(lambda: link.position[2] > 0.2)
+    ros.spin_until(lambda: link.mode is FlightMode.LAND or link.request(CommandRequest.LAND))
+    ros.spin_until(lambda: link.down)
