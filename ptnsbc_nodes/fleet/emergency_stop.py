@@ -352,7 +352,10 @@ def land_left_behind(
             flown = direct.mode is FlightMode.OTHER
             direct.look(ordering=direct.armed is True and not flown)
             if direct.armed is False:
-                write_record(folder, replace(record, armed=False, landed=True, heard=True))
+                down = replace(
+                    record, mode=direct.mode_name, place="", fate=""
+                )  # its bridge's last
+                write_record(folder, replace(down, armed=False, landed=True, heard=True))
                 word = "its vehicle is disarmed"
             elif now_s - max(direct.heard_s, began_s) > SILENT_S:
                 word = f"not reached, {direct.problem or 'silent'}; its vehicle was {record.state}"

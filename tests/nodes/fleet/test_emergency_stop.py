@@ -437,7 +437,8 @@ def test_a_vehicle_that_a_dead_bridge_left_armed_is_landed_and_waited_for(
     assert (disarm in commands) == changes.get("landed", False)
     assert said[-1] == "bridge1: its vehicle is disarmed"
     (record,) = records(tmp_path)
-    assert not record.armed
+    # The bridge's last word was of a place in the air, and of what it would do there.
+    assert (record.armed, record.landed, record.place, record.fate) == (False, True, "", "")
 
 
 def test_until_then_it_is_named_and_the_operator_may_end_the_wait(bridge, dead, tmp_path):
