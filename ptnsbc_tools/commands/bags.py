@@ -52,7 +52,9 @@ def info(
 
     found = read_bag(bag, salvage=True)
     if check and not found.files:
-        raise BagError(f"{bag}: --check: expected MCAP files: only they have checksums")
+        raise BagError(
+            f"{bag}: --check: expected MCAP files that are not packed as a whole: only they have checksums"
+        )
     with console.patience(f"reading {bag}"):
         problems = find_problems(found) if check else None
     if json:
