@@ -231,14 +231,15 @@ class EmergencyStop:
             self._bridge(name)
         for record in records(self._folder):
             unheard = record.name not in self._bridges or not self._bridges[record.name].answered
-            over = record.ended or (not record.alive and record.name not in fleet)
-            if over and unheard and not record.armed:
+            down = record.ended and not record.armed  # there is nobody to answer, and nothing to do
+            lost = not (record.alive or record.armed)
+            if lost and unheard and record.name not in fleet:
                 continue  # of a flight that is over
             bridge = self._bridge(record.name)
             bridge.local = record
             if bridge.done_s is None and (unheard or record.ended):
                 bridge.state = record
-                if not unheard and _obeys(record, self._order):
+                if down or (not unheard and _obeys(record, self._order)):
                     bridge.done_s = time.monotonic()
 
     def _bridge(self, name: str) -> _Bridge:

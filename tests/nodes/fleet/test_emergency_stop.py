@@ -127,6 +127,18 @@ def test_a_landing_is_reported_as_what_it_is(bridge, give):
     assert "landing, armed at (1.0, 2.0, 3.0) m in LAND" in found["bridge1"].text
 
 
+def test_bridges_of_a_fleet_that_have_given_up_on_the_ground_are_not_waited_for(
+    bridge, give, tmp_path
+):
+    """Four lines said 'silent: the bridge does not answer', 3 s after a start that was refused."""
+    list_fleet(tmp_path, ["bridge1"])
+    bridge("bridge1", ended=True, armed=False, landed=True, step="failed")
+    done, found = give(LAND, patience_s=1.0)
+    assert done
+    assert found["bridge1"].obeyed
+    assert found["bridge1"].text.startswith("not flying (disarmed, on the ground at")
+
+
 def test_what_is_seen_past_a_silent_bridge_stands_beside_no_old_place(bridge, tmp_path):
     far = Far()
     bridge("bridge1", peer=f"127.0.0.1:{far.port}")  # no port: it does not answer
