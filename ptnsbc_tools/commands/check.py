@@ -139,12 +139,19 @@ def new(
             "--trajectory FILE", "Path of the leader, such as rows t, x, y, z, yaw; else a circle."
         ),
     ] = None,
+    crazyflies: Annotated[
+        Path | None,
+        option(
+            "--crazyflies FILE", "Crazyswarm2's crazyflies.yaml: fly its robots as crazyflie_4."
+        ),
+    ] = None,
     overwrite: Annotated[bool, option("--overwrite", "Replace an existing file.")] = False,
 ) -> None:
     """Write a commented scenario, ready to check and fly."""
     from ptnsbc_tools.library import new_scenario
 
-    path = new_scenario.new(file, shape, n, spacing, trajectory=trajectory, overwrite=overwrite)
+    more: dict[str, Any] = {"trajectory": trajectory, "crazyflies": crazyflies}
+    path = new_scenario.new(file, shape, n, spacing, **more, overwrite=overwrite)
     console.show(str(path))
     console.say(f"next: {console.program()} check {path}")
 

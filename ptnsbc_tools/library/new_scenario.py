@@ -20,6 +20,7 @@ from ptnsbc_sim.scenario import scenario_from_text
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
 from ptnsbc_sim.scenario.mission.trajectories import extremes, trajectory_of
 from ptnsbc_sim.scenario.problems import similar
+from ptnsbc_tools.library.crazyflies import lab_text
 from ptnsbc_tools.limits import path_of, refuse_outside
 
 SCHEMA = Path(scenario.__file__).with_name("scenario.schema.json")
@@ -126,6 +127,7 @@ def new(
     spacing_m: float = 2.0,
     *,
     trajectory: str | Path | None = None,
+    crazyflies: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write a commented scenario of so many UAVs, as `ptnsbc new`, and return its file.
@@ -136,12 +138,13 @@ def new(
         n: UAVs with the leader.
         spacing_m: distance of neighbours.
         trajectory: file with the path of the leader, of any form that `kind: file` knows; by default a circle.
+        crazyflies: crazyflies.yaml of Crazyswarm2: its robots fly what `crazyflie_4` does, whatever is given before.
         overwrite: replace an existing file.
 
     Raises:
         NewScenarioError: an unknown shape, or a file that exists.
         LimitError: a number or a distance out of range.
-        ScenarioError: a trajectory that is none.
+        ScenarioError: a trajectory that is none, or a crazyflies.yaml.
         OutputFileError: the file cannot be written.
     """
     given = path_of("file", file)
@@ -150,7 +153,10 @@ def new(
     path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")
     if path.exists() and not overwrite:
         raise NewScenarioError(f"{path}: exists: choose another name, or overwrite it")
-    text = text_of(named(path), shape, n, spacing_m, trajectory, path.parent)
+    if crazyflies is None:
+        text = text_of(named(path), shape, n, spacing_m, trajectory, path.parent)
+    else:
+        text = lab_text(Path(crazyflies), named(path))
     with replacing(path, folder=True) as part:
         part.write_text(text, encoding="utf-8")
     return path

@@ -149,6 +149,8 @@ class RosLink:
         """Pass a setpoint on, and answer what is asked of a flight controller."""
         m, kind = message, message.get_type()
         if kind == "SET_POSITION_TARGET_LOCAL_NED":
+            if self.mode is FlightMode.LAND:
+                return True  # ignored as by a flight controller: a driver may take it for the end of the landing
             vectors = (m.x, m.y, m.z), (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz)
             given = (
                 None if m.type_mask & ignored else frames.vector_ned_to_enu(np.array(vector))

@@ -132,6 +132,12 @@ def test_requests_and_setpoints_reach_the_driver(link):
     assert yaw == pytest.approx(0.3)
 
 
+def test_no_setpoint_takes_a_vehicle_out_of_its_landing(link):
+    link.done(CommandRequest.LAND)
+    assert link.send(SetpointMessages(ROS, 1).position_target(0.0, 0.3, velocity=np.zeros(3)))
+    assert link.setpoints == []
+
+
 def test_the_clock_of_its_reports_is_ours(link, clock):
     clock[0] = 107.0
     link.send(mavlink.MAVLink_timesync_message(0, 107_000_000_000))

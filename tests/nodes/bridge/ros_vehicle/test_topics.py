@@ -12,6 +12,7 @@ pytest.importorskip("pymavlink")
 
 sys.path.insert(0, str(Path(__file__).parents[4] / "examples" / "vehicles"))
 
+import crazyswarm_node
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from point_masses import PointMass
@@ -19,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.cdr import encode
 from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 from ptnsbc_nodes.bridge.ros_vehicle.topics import open_ros_link
@@ -227,3 +229,40 @@ def test_a_vehicle_of_forty_lines_takes_off_and_lands(ros, opened):
     ros.spin_until(lambda: link.position[2] > 0.2)
     ros.spin_until(lambda: link.mode is FlightMode.LAND or link.request(CommandRequest.LAND))
     ros.spin_until(lambda: link.down)
+
+
+@pytest.fixture
+def crazyflie(monkeypatch):
+    """UAV 2 of `crazyflie_4` behind a stand-in of Crazyswarm2's server: its link, and the server."""
+    for name, module in crazyswarm_node.MODULES.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    server = crazyswarm_node.Server()
+    return open_ros_link(server, load_scenario("crazyflie_4").bridged(ros=True), 2), server
+
+
+def test_a_crazyflie_takes_off_flies_full_states_and_lands_by_its_own_planner(crazyflie):
+    link, server = crazyflie
+    assert (server.pose, server.output) == ("/tf", "/cf2/cmd_full_state")
+    for request in (CommandRequest.ARM, CommandRequest.TAKEOFF, CommandRequest.OWN_MODE):
+        link.request(request)
+    assert link.armed
+    assert [name for name, _ in server.called] == ["/cf2/takeoff"]
+    assert (server.called[0][1].height, server.called[0][1].duration.sec) == (1.0, 2)
+    link.fly(np.array([1.0, 2.0, 3.0]), *UP[1:])
+    wanted = crazyswarm_node.FullState()
+    wanted.header = link._message.header
+    wanted.pose.position.x, wanted.pose.position.y, wanted.pose.position.z = 1.0, 2.0, 3.0
+    wanted.pose.orientation.z, wanted.pose.orientation.w = math.sin(0.25), math.cos(0.25)
+    wanted.twist.linear.x, wanted.twist.linear.y, wanted.twist.linear.z = UP[1].tolist()
+    wanted.acc.x, wanted.acc.y, wanted.acc.z = UP[2].tolist()
+    assert server.sent == [encode(wanted)]
+    link.request(CommandRequest.LAND)
+    assert [name for name, _ in server.called[1:]] == ["/cf2/notify_setpoints_stop", "/cf2/land"]
+    assert server.called[2][1].height == pytest.approx(0.03)
+    assert link.mode is FlightMode.LAND
+
+
+def test_stop_with_kill_stops_the_motors_of_a_crazyflie(crazyflie):
+    link, server = crazyflie
+    link.request(CommandRequest.KILL)
+    assert [name for name, _ in server.called] == ["/cf2/emergency"]

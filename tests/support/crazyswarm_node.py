@@ -1,0 +1,86 @@
+"""A stand-in of Crazyswarm2's server: its messages by their names and fields, and what a bridge asks of it."""
+
+from types import ModuleType, SimpleNamespace
+
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Pose, Twist, Vector3
+from std_msgs.msg import Header
+
+
+class FullState:
+    """As `crazyflie_interfaces/msg/FullState`."""
+
+    def __init__(self):
+        self.header, self.pose, self.twist, self.acc = Header(), Pose(), Twist(), Vector3()
+
+    @classmethod
+    def get_fields_and_field_types(cls):
+        types = (
+            "std_msgs/Header",
+            "geometry_msgs/Pose",
+            "geometry_msgs/Twist",
+            "geometry_msgs/Vector3",
+        )
+        return dict(zip(("header", "pose", "twist", "acc"), types, strict=True))
+
+
+class _Planned:
+    """The request of `crazyflie_interfaces/srv/Takeoff` and `Land`."""
+
+    def __init__(self):
+        self.group_mask, self.height, self.duration = 0, 0.0, Duration()
+
+
+class _Stop:
+    """That of `crazyflie_interfaces/srv/NotifySetpointsStop`."""
+
+    def __init__(self):
+        self.group_mask, self.remain_valid_millisecs = 0, 0
+
+
+MODULES = {
+    name: ModuleType(name) for name in ("crazyflie_interfaces.msg", "crazyflie_interfaces.srv")
+}
+MODULES["crazyflie_interfaces.msg"].FullState = FullState
+for _name, _request in {
+    "Takeoff": _Planned,
+    "Land": _Planned,
+    "NotifySetpointsStop": _Stop,
+}.items():
+    setattr(MODULES["crazyflie_interfaces.srv"], _name, SimpleNamespace(Request=_request))
+MODULES["crazyflie_interfaces"] = ModuleType("crazyflie_interfaces")
+
+
+class _Client:
+    def __init__(self, name, called):
+        self.srv_name, self._called = name, called
+
+    def service_is_ready(self):
+        return True
+
+    def call_async(self, request):
+        self._called.append((self.srv_name, request))
+        answer = SimpleNamespace(result=object)  # an answer without fields
+        answer.add_done_callback = lambda function: function(answer)
+        return answer
+
+
+class Server:
+    """A node in the place of the bridge's; it answers every call at once."""
+
+    def __init__(self):
+        self.sent, self.called, self.pose, self.output = [], [], "", ""
+
+    def create_subscription(self, _kind, topic, *_rest, **_more):
+        self.pose = topic
+        return SimpleNamespace(get_publisher_count=lambda: 1)
+
+    def create_publisher(self, _kind, topic, *_rest, **_more):
+        self.output = topic
+        return SimpleNamespace(publish=self.sent.append)
+
+    def create_client(self, _kind, name):
+        return _Client(name, self.called)
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: Time(sec=7)))
