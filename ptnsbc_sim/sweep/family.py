@@ -18,11 +18,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Positive
 from ptnsbc_sim.scenario.mission.shapes import SHAPES
+from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
@@ -120,7 +122,8 @@ class FamilyObstacles(Block):
     """Spheres to keep out of."""
 
     count: CountRange
-    """Number of obstacles, as far as there is room for them: the table tells how many there were."""
+    """Number of obstacles, as far as there is room for them: the table tells how many there were. None holds a start,
+    or a place from the deadline on: no UAV could be in it."""
     keep_out_m: PositiveRange = (0.5, 1.5)
     """Radius."""
     where: Literal["way", "anywhere"] = "way"
@@ -209,6 +212,7 @@ Generator = Callable[[str], np.random.Generator]
 _MOST_TRIES = 200
 _ASIDE_M = 3.0  # obstacles lie so far around starts and goals at most
 _HEIGHT_M = 5.0
+_STEP_S = 0.05
 
 
 def _number(value: float | tuple[float, float], rng: np.random.Generator) -> float:
@@ -288,17 +292,28 @@ def _starts(
     return drawn_places(places, rule, spacing, rng)
 
 
+def _places_due(goals: Array, trajectory: dict[str, Any], tree: Tree) -> Array:
+    """The places (N, T, 3) [m] from the deadline to the end of the flight."""
+    timing, deadline_s = tree["timing"], tree["gains"]["formation"]["deadline_s"]
+    times = np.arange(deadline_s, timing["duration_s"], _STEP_S)
+    path = {"line": Line, "circle": Circle}[trajectory["kind"]](**trajectory)
+    lead = curve_samples(trajectory_of(path), times)[:, :3]
+    return np.asarray(lead + (goals - goals[0])[:, None])
+
+
 def _obstacles(
     block: FamilyObstacles,
     starts: Array,
     goals: Array,
+    due: Array,
     margin_m: float,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """As many as there is room for: none holds a start or a place, none meets another one."""
+    """As many as there is room for: none holds a start, or a place (N, T, 3) when it is due; none meets another one."""
     obstacles: list[dict[str, Any]] = []
     ends = np.concatenate([starts, goals])
     low, high = ends.min(axis=0) - _ASIDE_M, ends.max(axis=0) + _ASIDE_M
+    ends = np.concatenate([ends, due.reshape(-1, 3)])
     for _ in range(_count(block.count, rng)):
         radius = _number(block.keep_out_m, rng)
         for _ in range(_MOST_TRIES):
@@ -344,10 +359,14 @@ def draw_family(
     apart = replace(kept, uavs_m=max(least_m, family.starts.apart_m))
     starts = _starts(family.starts, goals, apart, generator("family starts"))
     places = np.array(starts)
+    drawn_s = None
+    if family.deadline is not None:
+        rng = generator("family deadline")
+        drawn_s = _draw_deadline(family.deadline, base, tree, places, goals, rng)
     if family.obstacles is not None:
-        room = margin_m + least_m
-        rng = generator("family obstacles")
-        world["obstacles"] = _obstacles(family.obstacles, places, goals, room, rng)
+        room, rng = margin_m + least_m, generator("family obstacles")
+        due = _places_due(goals, trajectory, tree)
+        world["obstacles"] = _obstacles(family.obstacles, places, goals, due, room, rng)
     # Attitudes and disturbances are those of the base scenario's UAVs, over and over.
     given, ids = tree["uavs"], list(range(2, size + 1))
     tree["uavs"] = [
@@ -366,9 +385,8 @@ def draw_family(
             tree["formation"][key] = value
     values |= {"size": size, "tree": tree_kind, "shape": shape, "spacing_m": spacing}
     values["obstacles"] = len(world["obstacles"])
-    if family.deadline is not None:
-        rng = generator("family deadline")
-        values["deadline_s"] = _draw_deadline(family.deadline, base, tree, places, goals, rng)
+    if drawn_s is not None:
+        values["deadline_s"] = drawn_s
     values |= _draw_surroundings(family, tree, generator)
     return values
 

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.tasks.formation_tasks import conditioning
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.approach.deadline import leader_motion, planned_pairs, turn_of
+from ptnsbc_sim.scenario.approach.deadline import (
+    leader_motion,
+    planned_pairs,
+    start_errors,
+    turn_of,
+)
 from ptnsbc_sim.scenario.approach.path import distances
 from ptnsbc_sim.scenario.constants import (
     clearance_config,
@@ -28,7 +34,9 @@ from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
+from ptnsbc_sim.verdict.deadline import MOST_EXCUSED
 from ptnsbc_sim.verdict.encounters import recovery_s
+from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Findings, judge
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
@@ -162,6 +170,8 @@ class Meeting(NamedTuple):
     first_s: float
     closest_m: float
     speed_m_s: float  # the largest along the path
+    seen_s: float  # most from the sensor's range to where it is closest; inf: it is near at the deadline
+    inside: NDArray[np.bool_]  # (T,) where the place is inside by more than its band
 
 
 def meetings(scenario: Scenario) -> Iterator[Meeting]:
@@ -173,15 +183,22 @@ def meetings(scenario: Scenario) -> Iterator[Meeting]:
     if times.size < 2 or not scenario.world.bodies:
         return
     path = curve_samples(leader_trajectory(scenario), times)[:, :3]
+    starts_m = start_errors(scenario)
     for obstacle in scenario.world.bodies:
         for uav in scenario.uav_ids:
+            band_m = max(scenario.formation.tolerance_m, SHARE_OF_START * starts_m.get(uav, 0.0))
             way = path + places_beside_leader(scenario, uav, times)
             distance = obstacle.distances(way, times)
             inside = distance < obstacle.keep_out_m
             if inside.any():
                 first_s, closest_m = float(times[np.argmax(inside)]), float(distance.min())
                 speeds = np.linalg.norm(np.gradient(way, times, axis=0), axis=1)
-                yield Meeting(obstacle, uav, first_s, closest_m, float(speeds.max()))
+                seen = int(np.argmax(distance <= scenario.sensor.range_m))
+                at_most = int(np.argmin(distance)) - seen + 2  # steps, between samples at both ends
+                seen_s = at_most * float(times[1] - times[0]) if seen else math.inf
+                deep = distance < obstacle.keep_out_m - band_m
+                speed = float(speeds.max())
+                yield Meeting(obstacle, uav, first_s, closest_m, speed, seen_s, deep)
 
 
 def _path_step_s(scenario: Scenario) -> float:
@@ -198,19 +215,55 @@ def encounters(scenario: Scenario) -> Findings:
         limit = f"<= {longest_s:g} s, to look every {_PATH_STEP_S:g} s"
         yield judge("timing.duration_s", value, limit, "check a shorter flight on the same path")
     off = scenario.formation.avoidance == "off"
-    for obstacle, uav, first_s, closest_m, speed in meetings(scenario):
+    met = tuple(meetings(scenario))
+    for meeting in met:
+        obstacle, uav = meeting.obstacle, meeting.uav
         if not off:
-            yield from _sight(scenario, obstacle.name, uav, obstacle.keep_out_m, speed)
-        value = f"meets UAV {uav} from t = {first_s:.1f} s, closest {closest_m:.2f} m"
+            yield from _seen(scenario, meeting)
+            yield from _sight(scenario, meeting)
+        value = (
+            f"meets UAV {uav} from t = {meeting.first_s:.1f} s, closest {meeting.closest_m:.2f} m"
+        )
         limit = f">= {obstacle.keep_out_m:g} m"
         advice = "set formation.avoidance: set_based" if off else "avoided in flight"
         severity = WARNING if off else INFO
         yield judge(f"world.obstacles {obstacle.name}", value, limit, advice, severity)
+    yield from _blocked(scenario, met)
 
 
-def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: float) -> Findings:
+def _blocked(scenario: Scenario, met: Iterable[Meeting]) -> Findings:
+    """The places that are inside keep-outs after the deadline for longer than the verdict excuses."""
+    inside: dict[int, NDArray[np.bool_]] = {}
+    for meeting in met if scenario.mission is None else ():
+        inside[meeting.uav] = meeting.inside | inside.get(meeting.uav, meeting.inside)
+    after_s = scenario.timing.duration_s - scenario.gains.formation.deadline_s
+    for uav, at in inside.items():
+        if at.mean() > MOST_EXCUSED:
+            value = f"the place of UAV {uav} is inside for {at.mean() * after_s:.2f} s after the deadline"
+            limit = f"<= {MOST_EXCUSED * after_s:.2f} s, the most that avoidance excuses"
+            yield judge("world.obstacles", value, limit, "move it out of the way", ERROR)
+
+
+def _seen(scenario: Scenario, meeting: Meeting) -> Findings:
+    """The time for which a UAV sees an obstacle, against what leaving the keep-out takes with all of its acceleration.
+
+    Below it no law keeps the UAV out.
+    """
+    name, uav, keep_out_m = meeting.obstacle.name, meeting.uav, meeting.obstacle.keep_out_m
+    most = scenario.gains.filter.max_acceleration_m_s2
+    needed_s = 1.0 / scenario.sensor.rate_hz + 1.0 / scenario.timing.control_hz
+    needed_s += math.sqrt(2.0 * (keep_out_m - meeting.closest_m) / most)
+    if meeting.seen_s < needed_s:
+        value = f"UAV {uav} sees {name} {meeting.seen_s:.2f} s before it is closest"
+        limit = f">= {needed_s:.2f} s, in which {most:g} m/s^2 lead out of its keep-out"
+        advice = "slow the leader down, or raise sensor.range_m"
+        yield judge("sensor.range_m", value, limit, advice, ERROR)
+
+
+def _sight(scenario: Scenario, meeting: Meeting) -> Findings:
     """The speed of a UAV towards an obstacle, against what it can stop from within the range of the sensor."""
-    config = agent_config(scenario, uav).clearance
+    name, uav, speed = meeting.obstacle.name, meeting.uav, meeting.speed_m_s
+    config, keep_out_m = agent_config(scenario, uav).clearance, meeting.obstacle.keep_out_m
     late, braking = config.lag_s + config.sensor_s, config.deceleration
     room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
     most = sight_speed(config, keep_out_m)

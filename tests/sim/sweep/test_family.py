@@ -9,6 +9,7 @@ from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.scenario.constants import agent_config
 from ptnsbc_sim.sweep.family import families, family_from_text, find_family
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, drawn_values, plan_of
+from ptnsbc_tools.check import geometry
 
 BASE = load_scenario("paper_5_free")
 LATER = {"delay"}  # draws a key that scenarios do not have yet
@@ -44,6 +45,14 @@ def test_every_draw_is_a_scenario(name: str) -> None:
             assert np.linalg.norm(starts - obstacle.position, axis=1).min() > obstacle.keep_out_m
         for uav in scenario.uav_ids:
             agent_config(scenario, uav)
+
+
+@pytest.mark.parametrize("name", ["clutter", "clutter_fast"])
+def test_no_obstacle_holds_a_place_when_it_is_due(name: str) -> None:
+    """From the deadline on: a UAV that keeps out of the obstacle could not be in its place."""
+    plan = plan_of_family(find_family(name).read_text(), 40)
+    met = [geometry.meetings(drawn_scenario(plan, k)[0]) for k in range(plan.draws)]
+    assert [list(of) for of in met] == [[]] * plan.draws
 
 
 @pytest.mark.parametrize("name", ["clutter", "anywhere"])  # also with more UAVs than the base has

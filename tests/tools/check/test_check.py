@@ -236,6 +236,48 @@ def test_who_is_faster_than_it_can_stop_within_sight_is_told_the_speed(
         assert slow[0].advice.endswith("raise sensor.range_m to 4.99 m")
 
 
+@pytest.mark.parametrize(
+    ("speed", "keep_out_m", "aside_m", "refused"),
+    [
+        (5.0, 1.5, 0.0, False),
+        (10.0, 1.5, 0.0, True),
+        (10.0, 1.5, 1.2, False),
+        (10.0, 0.5, 0.0, False),
+    ],
+)
+def test_what_no_law_can_evade_is_refused(
+    speed: float, keep_out_m: float, aside_m: float, refused: bool
+) -> None:
+    """The time from 4 m to abreast, against sensor, control and sqrt(2 (keep-out - aside) / 10 m/s^2)."""
+    path = {"kind": "line", "position_m": [0, 0, 6], "velocity_m_s": [speed, 0, 0]}
+    obstacle = {"name": "O1", "position_m": [8 * speed, aside_m, 6], "keep_out_m": keep_out_m}
+    changes = {"leader.trajectory": path, "world.obstacles": [obstacle], "timing.duration_s": 16}
+    found = check(load_scenario("paper_5_free", changes))
+    said = [one for one in found if "before it is closest" in one.value]
+    needed_s = 0.05 + 0.01 + math.sqrt(0.2 * (keep_out_m - aside_m))
+    assert refused == (math.sqrt(16.0 - aside_m**2) / speed < needed_s)
+    assert bool([one for one in said if one.value.startswith("UAV 1 ")]) == refused
+    assert {one.severity for one in said} <= {"error"}
+
+
+@pytest.mark.parametrize(("length_m", "refused"), [(0.9, False), (1.4, True)])
+def test_a_place_in_a_keep_out_for_most_of_the_time_is_refused(
+    length_m: float, refused: bool
+) -> None:
+    """At 0.2 m/s for 10 s after the deadline; half of that is 1 m of the way."""
+    path = {"kind": "line", "position_m": [0, 0, 6], "velocity_m_s": [0.2, 0, 0]}
+    stands = {"name": "O1", "position_m": [1.8, 0, 6], "keep_out_m": length_m / 2 + 0.05}
+    changes = {
+        "leader.trajectory": path,
+        "world.obstacles": [stands],
+        "uavs[0].position_m": [0, 0, 6],
+        "timing.duration_s": 15,
+    }
+    found = check(load_scenario("paper_5_free", changes))
+    said = [one for one in found if one.value.startswith("the place of UAV 1 is inside")]
+    assert [one.severity for one in said] == ["error"] * refused
+
+
 @pytest.mark.parametrize(("speed", "told"), [(1.3, False), (1.5, True), (5.0, True)])
 def test_ways_back_too_fast_to_stop_before_what_stands_are_told(speed: float, told: bool) -> None:
     path = {"kind": "line", "position_m": [0, 0, 6], "velocity_m_s": [speed, 0, 0]}
