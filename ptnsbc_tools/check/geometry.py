@@ -102,6 +102,7 @@ def shape(scenario: Scenario) -> Findings:
 def spacing(scenario: Scenario) -> Findings:
     """Desired positions and starts against the keep-out distance between UAVs."""
     margin = scenario.gains.clearance.margin_m
+    counted = "" if scenario.formation.keep_out_height == 1.0 else ", as if side by side"
     positions = {
         "formation.offsets_m": {uav: scenario.offset(uav) for uav in scenario.uav_ids},
         "uavs position_m": {uav: scenario.uav(uav).position for uav in scenario.uav_ids},
@@ -117,7 +118,7 @@ def spacing(scenario: Scenario) -> Findings:
         closest = sorted(pairs, key=lambda pair: pair[2] - pair[3])[:1]
         advice = "move them apart, or lower formation.uav_keep_out_m" if near else ""
         for a, b, distance, least in near or closest:
-            value = f"UAV {a} and UAV {b} {distance:.2f} m apart"
+            value = f"UAV {a} and UAV {b} {distance:.2f} m apart{counted}"
             yield judge(key, value, f">= {least:g} m", advice, ERROR)
     tolerance_m, keep_out_m = scenario.formation.tolerance_m, scenario.widest_keep_out_m
     if tolerance_m >= keep_out_m:

@@ -12,7 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.sweep.draws import Starts, SweepError, parse_axis, parse_starts
+from ptnsbc_sim.sweep.draws import (
+    Starts,
+    SweepError,
+    drawn_places,
+    parse_axis,
+    parse_starts,
+    spacing_of,
+)
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, drawn_values, plan_of
 
 BASE = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
@@ -55,6 +62,14 @@ def test_starts_are_clear_of_each_other(k: int, sigma: float, seed: int) -> None
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
     least = BASE.formation.uav_keep_out_m + BASE.gains.clearance.margin_m
     assert gaps[np.triu_indices(len(places), 1)].min() >= least
+
+
+def test_starts_are_clear_of_the_downwash_of_each_other() -> None:
+    scenario = load_scenario("paper_5", {"formation.uav_keep_out_above_m": 1.5})
+    beside = Starts("near", (1e-3,)), spacing_of(scenario, ()), np.random.default_rng(1)
+    assert len(drawn_places([(0, 0, 1), (0, 0, 2.6)], *beside)) == 2
+    with pytest.raises(SweepError, match="no room for UAV number 2"):
+        drawn_places([(0, 0, 1), (0, 0, 2.4)], *beside)
 
 
 @given(k=st.integers(0, 49))

@@ -104,6 +104,14 @@ def test_a_tolerance_as_wide_as_the_keep_out_is_a_warning() -> None:
     assert found.limit == "< 0.5 m, formation.uav_keep_out_m"
 
 
+@pytest.mark.parametrize(("above_m", "found"), [(None, 0), (1.5, 1)])
+def test_a_start_above_another_one_is_in_its_downwash(above_m: float | None, found: int) -> None:
+    above = {"uavs[1].position_m": [5, 5, 1], "uavs[2].position_m": [5, 5, 2]}
+    near = errors(formation__uav_keep_out_above_m=above_m, **above)
+    values = [one.value for one in near if one.key == "uavs position_m"]
+    assert values == found * ["UAV 2 and UAV 3 0.33 m apart, as if side by side"]
+
+
 def test_starts_closer_than_the_safe_distance() -> None:
     found = errors(**{"uavs[1].position_m": [-1, -0.3, 1]})
     assert [finding.key for finding in found] == ["uavs position_m"]

@@ -105,6 +105,14 @@ def test_separations_are_distances_with_their_keep_outs(fly):
     assert [limit.value for limit in found["obstacles"].limits] == [1.5]
 
 
+def test_heights_count_less_where_keep_outs_are_higher_than_wide(fly):
+    changes = {"timing.duration_s": 12.0, "formation.offsets_m.4": [0, 0, 0.9]}
+    above = {**changes, "formation.uav_keep_out_above_m": 1.5}
+    for keys, apart_m in ((changes, 0.9), (above, 0.3)):
+        chart = drawn(fly(scenario=load_scenario("paper_5_free", keys)))["between"]
+        assert float(np.min(chart.curves[3].values)) == pytest.approx(apart_m)
+
+
 def test_only_the_least_distances_of_many(fly, monkeypatch):
     monkeypatch.setattr("ptnsbc_tools.plotting.charts.MOST_DISTANCES", 3)
     chart = drawn(fly({5: lambda t: -1.0 - 0 * t}))["between"]
