@@ -73,6 +73,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/core/tasks/test_jacobians.py": "all tasks",
     "tests/io/bag/test_hostile.py": "bags that were made to do harm",
     "tests/nodes/bridge/procedure/test_procedure_in_flight.py": "procedure.py, once the vehicle flies",
+    "tests/nodes/bridge/ros_vehicle/test_px4_dds.py": "examples/vehicles/px4_dds.py",
     "tests/nodes/bridge/test_fleet_comings.py": "a fleet of bridges in which UAVs come and go",
     "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
