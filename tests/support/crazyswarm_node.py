@@ -52,21 +52,23 @@ MODULES["crazyflie_interfaces"] = ModuleType("crazyflie_interfaces")
 
 
 class _Client:
-    def __init__(self, name, called):
-        self.srv_name, self._called = name, called
+    def __init__(self, name, server):
+        self.srv_name, self._server = name, server
 
     def service_is_ready(self):
         return True
 
     def call_async(self, request):
-        self._called.append((self.srv_name, request))
+        self._server.called.append((self.srv_name, request))
         answer = SimpleNamespace(result=object)  # an answer without fields
-        answer.add_done_callback = lambda function: function(answer)
+        answer.add_done_callback = lambda function: self._server.asked(function, answer)
         return answer
 
 
 class Server:
-    """A node in the place of the bridge's; it answers every call at once."""
+    """A node in the place of the bridge's; it answers every call at once, or the newest one when it is told to."""
+
+    answers = True
 
     def __init__(self):
         self.sent, self.called, self.pose, self.output = [], [], "", ""
@@ -80,7 +82,18 @@ class Server:
         return SimpleNamespace(publish=self.sent.append)
 
     def create_client(self, _kind, name):
-        return _Client(name, self.called)
+        return _Client(name, self)
+
+    def asked(self, function, answer):
+        self._answer = function, answer
+        if self.answers:
+            function(answer)
+
+    def answer(self, message):
+        """Refuse the newest call."""
+        function, answer = self._answer
+        answer.result = lambda: SimpleNamespace(success=False, message=message)
+        function(answer)
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: Time(sec=7)))

@@ -50,6 +50,7 @@ class RosLink:
         self.counts = self.refusals.counts
         self.armed, self.mode = False, FlightMode.HOLD
         self.landed: bool | None = None  # by the vehicle's own word
+        self.silent = False  # it is being asked to land: a setpoint that overtakes the call would end the landing
         self.position, self.velocity = np.zeros(3), np.zeros(3)  # newest [m], ENU; [m/s], FLU
         self._ground_m = 0.0  # height of the place of arming
         self._sync, self._filter = TimeSync(), VelocityFilter()
@@ -149,7 +150,7 @@ class RosLink:
         """Pass a setpoint on, and answer what is asked of a flight controller."""
         m, kind = message, message.get_type()
         if kind == "SET_POSITION_TARGET_LOCAL_NED":
-            if self.mode is FlightMode.LAND:
+            if self.silent or self.mode is FlightMode.LAND:
                 return True  # ignored as by a flight controller: a driver may take it for the end of the landing
             vectors = (m.x, m.y, m.z), (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz)
             given = (

@@ -112,7 +112,9 @@ class TopicLink(RosLink):
 
     def _call_in_turn(self, request: CommandRequest, calls: Sequence[tuple[Any, Any]]) -> None:
         client, values = calls[0]
-        if client.service_is_ready():
+        ready = client.service_is_ready()
+        self.silent = ready and request is CommandRequest.LAND
+        if ready:
             self._not_again_s[request] = time.monotonic() + _ANSWER_S
             answer = client.call_async(values)
             answer.add_done_callback(partial(self._on_answer, request, calls[1:]))
@@ -123,7 +125,7 @@ class TopicLink(RosLink):
         result, takes_off = answer.result(), request is CommandRequest.TAKEOFF
         self._not_again_s[request] = time.monotonic() + _TAKE_OFF_S * takes_off
         if not getattr(result, "success", True):
-            self._not_again_s[request] = 0.0
+            self._not_again_s[request], self.silent = 0.0, False
             self.say(f"{request.value}: {getattr(result, 'message', '') or 'refused'}")
         elif rest:
             self._call_in_turn(request, rest)

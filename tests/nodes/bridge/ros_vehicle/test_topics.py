@@ -21,7 +21,9 @@ from tf2_msgs.msg import TFMessage
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.cdr import encode
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS
 from ptnsbc_io.mavlink.flight_mode import FlightMode
+from ptnsbc_io.mavlink.setpoints import SetpointMessages
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 from ptnsbc_nodes.bridge.ros_vehicle.topics import open_ros_link
 from ptnsbc_sim.scenario import load_scenario
@@ -266,3 +268,20 @@ def test_stop_with_kill_stops_the_motors_of_a_crazyflie(crazyflie):
     link, server = crazyflie
     link.request(CommandRequest.KILL)
     assert [name for name, _ in server.called] == ["/cf2/emergency"]
+
+
+def test_no_setpoint_follows_the_first_call_of_a_landing(crazyflie):
+    """One that is heard after `land` ends the landing, and the Crazyflie hovers where it is."""
+    link, server = crazyflie
+    setpoint = SetpointMessages(AUTOPILOTS["ros"], 1).position_target(
+        0.0, 0.3, velocity=np.zeros(3)
+    )
+    link.request(CommandRequest.OWN_MODE)
+    server.answers = False
+    link.request(CommandRequest.LAND)
+    assert link.mode is FlightMode.OWN
+    assert link.send(setpoint)
+    assert server.sent == []
+    server.answer("refused")
+    assert link.send(setpoint)
+    assert len(server.sent) == 1
