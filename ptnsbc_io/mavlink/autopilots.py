@@ -293,6 +293,8 @@ def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) ->
             f"it keeps its velocity for {values.get('GUID_TIMEOUT', 3.0):g} s (GUID_TIMEOUT), then hovers in GUIDED "
             "until somebody lands it or its battery is low"
         )
+    if autopilot.number == ROS.number:
+        return "only its driver knows what it does without setpoints"
     return "its own failsafe acts"
 
 

@@ -163,7 +163,8 @@ class Supervisor:
                 self._reported.discard(name)
                 self._crew.start_again(child)
                 return True
-            self._progress(f"{word}; ptnsbc stop reaches it past its bridge")
+            past = "nothing reaches" if left.connect.startswith("ros:") else "ptnsbc stop reaches"
+            self._progress(f"{word}; {past} it past its bridge")
         return False
 
     def end(self) -> None:

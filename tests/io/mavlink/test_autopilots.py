@@ -11,6 +11,7 @@ from mavlink_wires import codec
 
 from ptnsbc_io.mavlink.autopilots import (
     ARDUPILOT,
+    AUTOPILOTS,
     GENERIC,
     PX4,
     FlightMode,
@@ -85,6 +86,10 @@ def test_an_arducopter_left_in_guided_hovers_after_its_timeout(values, seconds):
 
 def test_of_another_vehicle_only_its_failsafe_is_known():
     assert fate(GENERIC, FlightMode.OWN, {}) == "its own failsafe acts"
+    alone = "only its driver knows what it does without setpoints"
+    assert {fate(AUTOPILOTS[name], FlightMode.OWN, {}) for name in ("ros", "ros_take_off")} == {
+        alone
+    }
 
 
 INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32

@@ -336,3 +336,8 @@ def test_framer_keeps_nothing_of_a_datagram():
     whole = heartbeat().pack(wires.codec())
     assert list(framer.feed(whole[:10])) == [BrokenFrame(truncated=True)]
     assert next(framer.feed(whole)).data == whole
+
+
+def test_a_vehicle_without_mavlink_is_not_reached_past_its_bridge():
+    with pytest.raises(ConnectError, match=r"ros:uav1: .* is reached by its bridge alone"):
+        connect("ros:uav1")
