@@ -54,6 +54,9 @@ _CHANGE = 0.25
 _COINCIDENT_M = 1e-6
 _LEAST_BRAKING = 0.25
 
+_AHEAD = 0.5
+"""Share of the room that a UAV may fly before the point from which its line is judged: that has to be outside."""
+
 
 class ObstacleView(NamedTuple):
     """The near objects that a UAV senses, and its memory of them."""
@@ -329,6 +332,23 @@ def constraint(
     )
 
 
+@inline_kernel
+def _lacks(space: HalfSpace, relative: Vector3) -> float:
+    """The change [m/s] that a velocity needs to be in a half space."""
+    return space.bound - dot3(space.normal, relative)
+
+
+@inline_kernel
+def _later(
+    away: Vector3, keep_out: float, relative: Vector3, allowed: float, lag_s: float
+) -> HalfSpace:
+    """`clear_velocities` from where the UAV is after its lag; what it is told till then does not change its line."""
+    length = norm3(away)
+    closing = -dot3(relative, away) / length
+    ahead_s = min(lag_s, _AHEAD * (length - keep_out) / max(closing, _TINY))
+    return clear_velocities(axpy(ahead_s, relative, away), keep_out, relative, allowed, 1.0)
+
+
 @kernel
 def _braking_constraint(
     position: Vector3,
@@ -363,7 +383,12 @@ def _braking_constraint(
         part = path_share(view.told, position, view.velocity, centre, velocity, horizon_s)
         relative = scaled(part, relative)
     passing = side_of_turn(view.told) if moves else 1.0
-    space = clear_velocities(away, keep_out, flattened(relative, flat), allowed, passing)
+    closing_in = flattened(relative, flat)
+    space = clear_velocities(away, keep_out, closing_in, allowed, passing)
+    if not moves:
+        late_space = _later(away, keep_out, closing_in, allowed, late)
+        if _lacks(late_space, closing_in) > _lacks(space, closing_in):
+            space = late_space
     side, steep = slope(space.normal, flat)
     bound = dot3(side, beside) + share * (space.bound / steep - dot3(side, relative))
     return ClearanceConstraint(side, bound, depth)
