@@ -29,7 +29,6 @@ from ptnsbc_core.tasks.near_constraints import (
     is_stale,
     landmarks_of,
     side_of,
-    side_of_turn,
     tangent,
     update_memory,
 )
@@ -153,8 +152,7 @@ def set_based(
             moving = load3(view.near[m], 4)
             side[m] = dot3(sub3(velocity, moving), tangent(rows.normals[m]))
             if config.approach == SPEED_BRAKING and dot3(moving, moving) > 0.0:
-                # both of a pair, and all of a ring, turn the same way
-                side[m] = side_of_turn(view.told)
+                side[m] = 1.0  # both of a pair, and all of a ring, turn the same way
     landmarks = landmarks_of(view.near, rows.normals)
     after = update_memory(view.memory, landmarks, multipliers, side, view.dt, config)
     secondary = velocity

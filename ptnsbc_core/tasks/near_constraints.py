@@ -212,13 +212,13 @@ class HalfSpace(NamedTuple):
 
 @kernel
 def clear_velocities(
-    away: Vector3, keep_out: float, relative: Vector3, allowed: float, side: float
+    away: Vector3, keep_out: float, relative: Vector3, allowed: float
 ) -> HalfSpace:
     """Relative velocities that stay clear of a sphere, linearised at the present one.
 
     The velocities that enter the sphere within the braking horizon room / allowed are a cone with a spherical
     tip, whose nearest point is `allowed` away from rest. The half space touches it where it is nearest to the
-    present relative velocity. On a straight meeting that is beside the object, on the side of `side`: both
+    present relative velocity. On a straight meeting that is beside the object, on the right-hand side: both
     UAVs of a pair choose the same sense of rotation.
 
     Args:
@@ -226,7 +226,6 @@ def clear_velocities(
         keep_out: radius of the sphere [m].
         relative: (3,) velocity of the UAV beside that of the object [m/s].
         allowed: closing speed straight to the object [m/s], above 0.
-        side: 1: pass it on the right, -1: on the left.
     """
     distance = norm3(away)
     rate = allowed / (distance - keep_out)  # 1 / horizon
@@ -237,22 +236,18 @@ def clear_velocities(
     along = dot3(offset, ahead)
     length = norm3(offset)
     if along < 0.0 and along * along > keep_out * keep_out * length * length:
-        beside = div3(offset, length)  # the tip
-        return HalfSpace(beside, dot3(beside, toward) + keep_out * rate)
+        side = div3(offset, length)  # beside the tip
+        return HalfSpace(side, dot3(side, toward) + keep_out * rate)
     closing = dot3(relative, ahead) / distance
     lateral = axpy(closing, normal, relative)
-    lateral = axpy(side * _ASIDE * max(closing, 0.0), tangent(normal), lateral)
+    lateral = axpy(_ASIDE * max(closing, 0.0), tangent(normal), lateral)
     across = norm3(lateral)
-    lateral = div3(lateral, across) if across > _TINY else scale3(side, tangent(normal))
+    lateral = div3(lateral, across) if across > _TINY else tangent(normal)
     sine = keep_out / distance
-    outward = add3(scale3(math.sqrt(1.0 - sine * sine), lateral), scale3(sine, normal))
-    return HalfSpace(outward, 0.0)  # of the cone
-
-
-@inline_kernel
-def side_of_turn(told: ToldPaths) -> float:
-    """The side on which UAVs pass each other: 1 on the right, -1 on the left where all paths turn to the left."""
-    return -1.0 if told.turn < 0.0 else 1.0
+    side = add3(
+        scale3(math.sqrt(1.0 - sine * sine), lateral), scale3(sine, normal)
+    )  # outward normal of the cone
+    return HalfSpace(side, 0.0)
 
 
 @inline_kernel
@@ -346,7 +341,7 @@ def _later(
     length = norm3(away)
     closing = -dot3(relative, away) / length
     ahead_s = min(lag_s, _AHEAD * (length - keep_out) / max(closing, _TINY))
-    return clear_velocities(axpy(ahead_s, relative, away), keep_out, relative, allowed, 1.0)
+    return clear_velocities(axpy(ahead_s, relative, away), keep_out, relative, allowed)
 
 
 @kernel
@@ -382,9 +377,8 @@ def _braking_constraint(
         horizon_s = -depth / allowed
         part = path_share(view.told, position, view.velocity, centre, velocity, horizon_s)
         relative = scaled(part, relative)
-    passing = side_of_turn(view.told) if moves else 1.0
     closing_in = flattened(relative, flat)
-    space = clear_velocities(away, keep_out, closing_in, allowed, passing)
+    space = clear_velocities(away, keep_out, closing_in, allowed)
     if not moves:
         late_space = _later(away, keep_out, closing_in, allowed, late)
         if _lacks(late_space, closing_in) > _lacks(space, closing_in):

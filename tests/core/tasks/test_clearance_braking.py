@@ -170,7 +170,7 @@ def test_halves_of_a_pair_sum_to_the_whole_change(seed: int) -> None:
     one, two = constraints(np.zeros(3), first, config), constraints(place, other, config)
     late = LAG + config.sensor_s
     allowed = braking_speed(np.linalg.norm(place) - KEEP_OUT, 6.0, LATENCIES * late)
-    space = clear_velocities(-place, KEEP_OUT, here - there, allowed, 1.0)
+    space = clear_velocities(-place, KEEP_OUT, here - there, allowed)
     np.testing.assert_allclose(one.normals, -two.normals, atol=1e-9)
     assert one.bound[0] + two.bound[0] == pytest.approx(
         space.bound + 0.5 * space.normal @ (lag - -lag), abs=1e-9
