@@ -2,6 +2,7 @@
 
 import math
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from ptnsbc_io.mavlink.flight_mode import FlightMode
 from ptnsbc_io.mavlink.setpoints import SetpointMessages
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 from ptnsbc_nodes.bridge.ros_vehicle.topics import open_ros_link
+from ptnsbc_sim.plugins import REFUSED, USER_CODE
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
@@ -285,3 +287,37 @@ def test_no_setpoint_follows_the_first_call_of_a_landing(crazyflie):
     server.answer("refused")
     assert link.send(setpoint)
     assert len(server.sent) == 1
+
+
+def test_a_class_of_the_user_is_its_link_unless_no_code_may_run(ros, tmp_path, monkeypatch):
+    code = """
+    from ptnsbc_nodes.bridge.ros_vehicle.link import RosLink
+
+
+    class Mine(RosLink):
+        def __init__(self, node, vehicle, height_m):
+            super().__init__()
+            self.name, self.height_m = vehicle.name, height_m
+
+
+    class Broken(Mine):
+        def __init__(self, *given):
+            raise OSError("no radio")
+    """
+    (tmp_path / "mine.py").write_text(textwrap.dedent(code))
+
+    def opened(name):
+        file = tmp_path / f"{name}.yaml"
+        text = f"extends: lab_4\nname: mine\nplugins: {{vehicle: 'mine.py:{name}'}}\n"
+        file.write_text(text)
+        return open_ros_link(ros.node("bridge"), load_scenario(file).bridged(ros=True), 2)
+
+    mine = opened("Mine")
+    assert (mine.name, mine.height_m) == ("uav2", 2.0)
+    with pytest.raises(PtnsbcError, match=r"UAV 2: .*mine\.py:Broken: no radio"):
+        opened("Broken")
+    with pytest.raises(PtnsbcError, match=r"mine\.py: Such: no such name: expected a class"):
+        opened("Such")
+    monkeypatch.setenv(USER_CODE, REFUSED)
+    with pytest.raises(PtnsbcError, match="the code of a vehicle, which this command does not run"):
+        opened("Mine")
