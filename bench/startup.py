@@ -29,6 +29,7 @@ class Start(NamedTuple):
 
     wall_s: float
     cpu_s: float
+    rss_mb: float
 
 
 def measure(plan: Plan) -> Sequence[Row]:
@@ -100,14 +101,12 @@ def _ready(plan: Plan) -> list[Row]:
             plan.of(7, 2),
             "startup",
         )
-    walls, cpus = (
-        {key: [start[index] for start in starts] for key, starts in found.items()}
-        for index in (0, 1)
-    )
+    bare, ours = ([*zip(*starts, strict=True)] for starts in found.values())
     name = "bare rclpy node"
     return [
-        Row("warm UAV ready", walls["UAV"], "s", name, walls["bare node"], target=Target(2.0)),
-        Row("CPU time until then", cpus["UAV"], "s", name, cpus["bare node"]),
+        Row("warm UAV ready", ours[0], "s", name, bare[0], target=Target(2.0)),
+        Row("CPU time until then", ours[1], "s", name, bare[1], target=Target(1.25)),
+        Row("memory then", ours[2], "MB", name, bare[2], target=Target(110.0)),
     ]
 
 
@@ -125,7 +124,7 @@ def _start(folder: Path, module: str, *arguments: str) -> Start:
                 if child.exit_code is not None or time.monotonic() > began + _DEADLINE_S:
                     raise BenchError(f"{module}: no status received\n{child.tail()}")
                 time.sleep(_LOOK_S)
-            return Start(heard_at - began, look(child.pid).cpu_s)
+            return Start(heard_at - began, *look(child.pid)[1:])
         finally:
             end([child])
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from functools import cached_property
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.algebra import odometry_tuple, store3
-from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list, prepared
+from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list, prepared, referred
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.step import TaskPoints, initial_state, step, task_points
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
@@ -73,15 +74,24 @@ OUTPUT_WIDTHS = {
 _VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _DIAGNOSTICS, _OUTPUT_SIZE = offsets(OUTPUT_WIDTHS)
 
 
+class _Arrays(NamedTuple):
+    """The inputs of a step in memory."""
+
+    vector: Array  # (44 + 14 K,)
+    estimates: Array  # (K, 13), a part of the vector
+    near: Array  # (M, 8)
+
+
 class PackedInputs:
     """Inputs of a step, see `AgentInputs`; at first nothing has been received.
 
     Attributes:
         vector: (44 + 14 K,) for K neighbours in the estimator graph, filled by the offsets of this module.
+        arrays: what a step reads, as one pointer.
         ages: offset of the ages of the estimates in `vector`.
     """
 
-    __slots__ = ("_near", "ages", "vector")
+    __slots__ = ("ages", "arrays", "vector")
 
     def __init__(self, neighbours: int, near: Array) -> None:
         self.ages = ESTIMATES + ODOMETRY_SIZE * neighbours
@@ -94,11 +104,13 @@ class PackedInputs:
     @property
     def near(self) -> Array:
         """Near objects (M, 8), as in AgentInputs; an array of another layout or type is converted."""
-        return self._near
+        return self.arrays.near
 
     @near.setter
     def near(self, near: Array) -> None:
-        self._near: Array = np.ascontiguousarray(near, dtype=np.float64)
+        near = np.ascontiguousarray(near, dtype=np.float64)
+        estimates = self.vector[ESTIMATES : self.ages].reshape(-1, ODOMETRY_SIZE)
+        self.arrays = referred(_Arrays(self.vector, estimates, near))
 
     @classmethod
     def pack(cls, inputs: AgentInputs) -> PackedInputs:
@@ -106,13 +118,13 @@ class PackedInputs:
         packed = cls(len(inputs.estimates), inputs.near)
         for (name, width), at in zip(INPUT_WIDTHS.items(), offsets(INPUT_WIDTHS), strict=False):
             packed.vector[at : at + width] = getattr(inputs, name)
-        packed.vector[ESTIMATES : packed.ages] = inputs.estimates.ravel()
+        packed.arrays.estimates[:] = inputs.estimates
         packed.vector[packed.ages :] = inputs.estimate_age_s
         return packed
 
     def unpack(self) -> AgentInputs:
         """The named inputs; their arrays are views."""
-        return _unpack(self.vector, self.near)
+        return _unpack(self.arrays)
 
 
 class PackedOutputs:
@@ -143,41 +155,43 @@ class PackedOutputs:
 
 
 @inline_kernel
-def _unpack(vector: Array, near: Array) -> AgentInputs:
-    count = (vector.shape[0] - ESTIMATES) // (ODOMETRY_SIZE + 1)
-    ages = ESTIMATES + ODOMETRY_SIZE * count
+def _unpack(inputs: _Arrays) -> AgentInputs:
+    vector, estimates = inputs.vector, inputs.estimates
     return AgentInputs(
         odometry_tuple(vector[OWN:PARENT]),
         odometry_tuple(vector[PARENT:LEADER]),
         vector[PARENT_AGE],
         odometry_tuple(vector[LEADER:PARENT_AGE]),
         vector[LEADER_AGE],
-        vector[ESTIMATES:ages].reshape(count, ODOMETRY_SIZE),
-        vector[ages:],
-        near,
+        estimates,
+        vector[ESTIMATES + ODOMETRY_SIZE * estimates.shape[0] :],
+        inputs.near,
         vector[NEAR_AGE],
         int(vector[MODE]),
         vector[START_AGE],
     )
 
 
-_Memory = tuple[Sequence[AgentConfig], MutableSequence[AgentState]]
-"""Configuration and state of one UAV, a list of one each: they stay with the kernels from step to step."""
+class _Memory(NamedTuple):
+    """One UAV in memory: it stays with the kernels from step to step."""
+
+    configs: Sequence[AgentConfig]  # one
+    states: MutableSequence[AgentState]  # one
+    out: Array  # `PackedOutputs.vector`
 
 
 @kernel
 def _advance(
     memory: _Memory,
-    inputs: Array,
-    near: Array,
+    inputs: _Arrays,
     t: float,
     dt: float,
-    out: Array,
     guided: Vector3 | None,
     task: TaskGeometry | None,
 ) -> None:
-    configs, states = memory
-    states[0], outputs = step(states[0], _unpack(inputs, near), t, dt, configs[0], guided, task)
+    states, out = memory.states, memory.out
+    received = _unpack(inputs)
+    states[0], outputs = step(states[0], received, t, dt, memory.configs[0], guided, task)
     store_outputs(
         outputs,
         out[_VELOCITY:],
@@ -189,9 +203,8 @@ def _advance(
 
 
 @kernel
-def _points(memory: _Memory, inputs: Array, near: Array, t: float, dt: float) -> TaskPoints:
-    configs, states = memory
-    return task_points(states[0], _unpack(inputs, near), t, dt, configs[0])
+def _points(memory: _Memory, inputs: _Arrays, t: float, dt: float) -> TaskPoints:
+    return task_points(memory.states[0], _unpack(inputs), t, dt, memory.configs[0])
 
 
 @inline_kernel
@@ -251,25 +264,24 @@ class Agent:
         return agent
 
     def _begin(self, config: AgentConfig, state: AgentState) -> None:
-        self._memory: _Memory = (kernel_list([config]), kernel_list([_copied(state)]))
         self._outputs = PackedOutputs(np.empty(_OUTPUT_SIZE))
+        states = kernel_list([_copied(state)])
+        self._memory = referred(_Memory(kernel_list([config]), states, self._outputs.vector))
 
     @cached_property
     def _own_advance(self) -> Callable[..., None]:
         """`_advance` by our own law and task, without a look at the types of its arguments."""
         empty = PackedInputs(0, np.empty((0, NEAR_COLUMNS)))
-        out = self._outputs.vector
-        rest = (empty.vector, empty.near, 0.0, 0.0, out, None, None)
-        return prepared(_advance, self._memory, *rest)
+        return prepared(_advance, self._memory, empty.arrays, 0.0, 0.0, None, None)
 
     @property
     def state(self) -> AgentState:
         """State from which the next step starts."""
-        return _copied(self._memory[1][0])
+        return _copied(self._memory.states[0])
 
     def task_points(self, inputs: PackedInputs, t: float, dt: float) -> TaskPoints:
         """The state at which the step with these inputs evaluates its task."""
-        return _points(self._memory, inputs.vector, inputs.near, t, dt)
+        return _points(self._memory, inputs.arrays, t, dt)
 
     def advance(
         self,
@@ -281,9 +293,8 @@ class Agent:
     ) -> PackedOutputs:
         """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
         advance = self._own_advance if guided is None and task is None else _advance
-        out = self._outputs
-        advance(self._memory, inputs.vector, inputs.near, t, dt, out.vector, guided, task)
-        return out
+        advance(self._memory, inputs.arrays, t, dt, guided, task)
+        return self._outputs
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
         """The same with named inputs."""

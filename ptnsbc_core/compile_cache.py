@@ -21,14 +21,11 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import llvmlite
-import numba
-from numba.core.compiler import CompileResult
-from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
+T = TypeVar("T")
 
 _SOURCES = ("ptnsbc_core", "ptnsbc_sim")
 _MARK = b"ptnsbc_core.kernel"  # in a source with kernels
@@ -156,56 +153,78 @@ def _sealed(content: bytes) -> bytes:
     return _HEADER + hashlib.sha256(content).digest() + content
 
 
-class KernelCache:
-    """The cache of one kernel, in the form that numba's dispatchers call."""
+@cache
+def kernel_folder() -> CacheFolder:
+    """The cache of these sources."""
+    return CacheFolder(cache_root(), source_digest())
 
-    def __init__(self, law: Callable[..., Any], folder: CacheFolder) -> None:
-        self._folder = folder
-        self.cache_path = str(folder.path)
-        self._name = f"{law.__module__}.{law.__qualname__}"
-        self._ours = law.__module__.split(".")[0] in _SOURCES
-        code, source = law.__code__, None
-        if not self._ours:  # in none of the sources of the digest
+
+class LawFiles:
+    """The files of one law in a cache."""
+
+    def __init__(self, law: Callable[..., Any], folder: CacheFolder, ending: str) -> None:
+        self._folder, self._ending, code, source = folder, ending, law.__code__, None
+        self._name = re.sub(r"[^\w.]", "_", f"{law.__module__}.{law.__qualname__}")
+        self.ours = law.__module__.split(".")[0] in _SOURCES
+        if not self.ours:  # in none of the sources of the digest
             with suppress(OSError):
                 source = hashlib.sha256(Path(code.co_filename).read_bytes()).hexdigest()
-        self._kernel: tuple[object, ...] = (
-            (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag),
+        self._law: tuple[object, ...] = (
+            (version("numba"), version("llvmlite"), sys.implementation.cache_tag),
             (self._name, code.co_firstlineno, hashlib.sha256(code.co_code).hexdigest()),
             source,
         )
 
-    def _key(self, signature: Any, codegen: Any) -> tuple[object, ...]:
-        return (*self._kernel, signature, codegen.magic_tuple())
-
     def _file(self, key: tuple[object, ...]) -> str:
-        name = re.sub(r"[^\w.]", "_", self._name)
-        return f"{name}-{hashlib.sha256(str(key).encode()).hexdigest()[:32]}.kernel"
+        return f"{self._name}-{hashlib.sha256(str(key).encode()).hexdigest()[:32]}.{self._ending}"
 
-    def load_overload(self, signature: Any, context: Any) -> CompileResult | None:
-        """The compiled kernel of this signature, or None."""
-        # The registries of numba tell it how to compile, and take half a second of a processor. They also define the
-        # symbols of hashes, which a kernel of somebody else may need; LLVM would end the process without them.
-        if self._ours:
-            rtsys.initialize(context)
-        else:
-            context.refresh()
-        key = self._key(signature, context.codegen())
+    def load(self, form: tuple[object, ...], made: Callable[[Any], T]) -> T | None:
+        """What is `made` of the parts of the law in this form, or None."""
+        key = (*self._law, *form)
         content = self._folder.read(self._file(key))
         if content is None:
             return None
         try:
             stored_key, parts = pickle.loads(content)
-            return CompileResult._rebuild(context, *parts) if stored_key == key else None
+            return made(parts) if stored_key == key else None
         except Exception:  # whatever the file contains, the kernel can be compiled
             self._folder.report_damage(self._file(key))
             return None
 
-    def save_overload(self, signature: Any, result: CompileResult) -> None:
+    def save(self, form: tuple[object, ...], parts: Any, dumps: Any = pickle.dumps) -> None:
+        """Store the parts of the law in this form."""
+        key = (*self._law, *form)
+        self._folder.write(self._file(key), dumps((key, parts)))
+
+
+class KernelCache:
+    """The cache of one kernel, in the form that numba's dispatchers call."""
+
+    def __init__(self, law: Callable[..., Any], folder: CacheFolder) -> None:
+        self.cache_path = str(folder.path)
+        self._files = LawFiles(law, folder, "kernel")
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The compiled kernel of this signature, or None."""
+        from numba.core.compiler import CompileResult
+        from numba.core.runtime import rtsys
+
+        # The registries of numba tell it how to compile, and take half a second of a processor. They also define the
+        # symbols of hashes, which a kernel of somebody else may need; LLVM would end the process without them.
+        if self._files.ours:
+            rtsys.initialize(context)
+        else:
+            context.refresh()
+        form = (signature, context.codegen().magic_tuple())
+        return self._files.load(form, lambda parts: CompileResult._rebuild(context, *parts))
+
+    def save_overload(self, signature: Any, result: Any) -> None:
         """Store a compiled kernel; one that contains addresses of this process cannot be stored."""
-        if result.lifted or result.library.has_dynamic_globals:
-            return
-        key = self._key(signature, result.codegen)
-        self._folder.write(self._file(key), dumps((key, result._reduce())))
+        from numba.core.serialize import dumps
+
+        if not (result.lifted or result.library.has_dynamic_globals):
+            form = (signature, result.codegen.magic_tuple())
+            self._files.save(form, result._reduce(), dumps)
 
     def flush(self) -> None:
         """`recompile` of a dispatcher calls this; what it compiles replaces the stored files."""

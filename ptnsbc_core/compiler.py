@@ -15,15 +15,15 @@ No operation on floats moves or changes, so the bits of a flight are those of ev
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import math
 import operator
 import os
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, partial
 from types import FunctionType
 from typing import Any
@@ -33,7 +33,7 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 import llvmlite.ir as ir
 import numba
-from llvmlite.binding import Linkage
+from llvmlite.binding import Linkage, parse_assembly
 from numba import _dynfunc, types
 from numba.core import cgutils, event
 from numba.core.callconv import create_error_model
@@ -55,9 +55,19 @@ from numba.extending import (
 )
 from numba.np.arrayobj import make_array
 
-from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
+from ptnsbc_core.compile_cache import CacheFolder, KernelCache, LawFiles, kernel_folder
+from ptnsbc_core.machine_code import (
+    SUPPORTED,
+    Loaded,
+    RecordList,
+    Referred,
+    in_memory,
+    kind_of,
+    linked,
+    store,
+)
 
-FOLDER = CacheFolder(cache_root(), source_digest())
+FOLDER = kernel_folder()
 
 
 class _Part(JITCodeLibrary):
@@ -95,6 +105,47 @@ class _Whole(JITCodeLibrary):
                     self.add_linking_library(part)
 
 
+_ALLOCATOR = """
+declare noalias ptr @aligned_alloc(i64, i64)
+declare void @free(ptr)
+
+define linkonce_odr noalias ptr @NRT_MemInfo_alloc_aligned(i64 %size, i32 %align) {
+  %all = add i64 %size, 64
+  %block = call ptr @aligned_alloc(i64 64, i64 %all)
+  %none = icmp eq ptr %block, null
+  br i1 %none, label %end, label %fill
+fill:
+  %data = getelementptr i8, ptr %block, i64 64
+  %field = getelementptr i8, ptr %block, i64 24
+  store i64 1, ptr %block
+  store ptr %data, ptr %field
+  br label %end
+end:
+  ret ptr %block
+}
+
+define linkonce_odr ptr @NRT_MemInfo_data_fast(ptr %block) {
+  %field = getelementptr i8, ptr %block, i64 24
+  %data = load ptr, ptr %field
+  ret ptr %data
+}
+
+define linkonce_odr void @NRT_MemInfo_call_dtor(ptr %block) {
+  call void @free(ptr %block)
+  ret void
+}
+"""
+# The arrays that no kernel gives away, without numba's library, whose code reads their place from byte 24.
+
+
+class _Flat(_Whole):
+    """The code of a kernel that needs the C library alone."""
+
+    def _optimize_final_module(self) -> None:
+        self._final_module.link_in(parse_assembly(_ALLOCATOR))
+        super()._optimize_final_module()
+
+
 def _pipeline(library: type[JITCodeLibrary]) -> type[CompilerBase]:
     """numba's pipeline, into a library of ours."""
 
@@ -112,11 +163,12 @@ def _pipeline(library: type[JITCodeLibrary]) -> type[CompilerBase]:
 class _WholeKernel(CPUDispatcher):
     """A law as Python calls it; kernels see its part."""
 
-    pipeline = _pipeline(_Whole)
-
-    def __init__(self, law: Callable[..., Any], error_model: str) -> None:
+    def __init__(
+        self, law: Callable[..., Any], error_model: str, library: type[JITCodeLibrary] = _Whole
+    ) -> None:
         options = {"nopython": True, "error_model": error_model, "no_cfunc_wrapper": True}
-        super().__init__(law, targetoptions=options, pipeline_class=self.pipeline)
+        options["no_cpython_wrapper"] = library is _Flat
+        super().__init__(law, targetoptions=options, pipeline_class=_pipeline(library))
         self._part = _PartOfKernel(law, inline=False, error_model=error_model)
 
     @property
@@ -178,7 +230,9 @@ class _PartOfKernel(CPUDispatcher):
 
 
 def compiled(
-    law: Callable[..., Any], folder: CacheFolder | None = FOLDER, error_model: str = "numpy"
+    law: Callable[..., Any],
+    folder: CacheFolder | None = FOLDER,
+    error_model: str = "numpy",
 ) -> CPUDispatcher:
     """A law for Python; its machine code is kept in `folder`, where there is one."""
     whole = _WholeKernel(law, error_model)
@@ -193,6 +247,20 @@ def address_of(law: CPUDispatcher, *arguments: Any) -> int:
     law.compile(kinds)
     found = law.overloads[kinds]
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+
+
+def loaded(law: Callable[..., Any], arguments: tuple[Any, ...]) -> Loaded:
+    """The kernel of a law for arguments of these types; the next process finds it by `machine_code.load`."""
+    flat = SUPPORTED and LawFiles(law, kernel_folder(), "").ours
+    kernel = _WholeKernel(law, "numpy", _Flat) if flat else compiled(law)
+    address = address_of(kernel, *arguments)
+    found = kernel.overloads[tuple(map(numba.typeof, arguments))]
+    if flat and not found.library.has_dynamic_globals:
+        code = linked(found.library._get_compiled_object(), found.fndesc.llvm_func_name)
+        store(law, kind_of(arguments), code)
+        with suppress(OSError):  # a system that executes nothing from memory
+            return in_memory(code)
+    return Loaded(address, kernel)
 
 
 def at_address(law: Callable[..., Any]) -> None:
@@ -257,19 +325,10 @@ class _PointerModel(models.PrimitiveModel):
         super().__init__(manager, kind, cgutils.voidptr_t)
 
 
-@cache
-def _layout(kind: Any) -> Any:
-    """The C type of a value in memory, as numba's models have it."""
-    if isinstance(kind, types.BaseTuple):
-        fields = [(f"f{k}", _layout(part)) for k, part in enumerate(kind)]
-        return type("Layout", (ctypes.Structure,), {"_fields_": fields})
-    if isinstance(kind, types.Array):  # count of references, owner, items, their size, data
-        return ctypes.c_int64 * (5 + 2 * kind.ndim)
-    if isinstance(kind, types.Boolean):
-        return ctypes.c_bool
-    if isinstance(kind, types.Number):
-        return ctypes.c_double if isinstance(kind, types.Float) else ctypes.c_int64
-    return ctypes.c_void_p
+def _size(kind: Any) -> int:
+    """Bytes of a value in memory."""
+    context = cpu_target.target_context
+    return int(context.get_abi_sizeof(context.get_data_type(kind)))
 
 
 @cache
@@ -277,7 +336,7 @@ def _field(target: Any, name: str) -> tuple[int, Any]:
     """Index and type of a field as kernels read it."""
     at = target.fields.index(name)
     kind = list(target)[at]
-    wide = isinstance(kind, types.BaseNamedTuple) and ctypes.sizeof(_layout(kind)) > _BY_VALUE
+    wide = isinstance(kind, types.BaseNamedTuple) and _size(kind) > _BY_VALUE
     return at, Pointer(kind) if wide else kind
 
 
@@ -355,7 +414,7 @@ class _SetRecord(AbstractTemplate):
         records, row, value = args
         if not (isinstance(records, Records) and isinstance(row, types.Integer)):
             return None
-        fits = ctypes.sizeof(_layout(value)) == ctypes.sizeof(_layout(records.target))
+        fits = _size(value) == _size(records.target)
         return signature(types.none, records, types.intp, value) if fits else None
 
 
@@ -399,87 +458,14 @@ def reference(law: Callable[..., Any]) -> None:
     vars(law)["_numba_type_"] = types.Function(ByReference)
 
 
-# From Python ---------------------------------------------------------------------------------------------------------
-
-
-def _packed(kind: Any, value: Any, kept: Callable[[Any], Any]) -> Any:
-    """A value for its layout; `kept` gives the array that stands for an array."""
-    if isinstance(kind, types.BaseTuple):
-        parts = zip(kind, value, strict=True)
-        return _layout(kind)(*(_packed(part, inner, kept) for part, inner in parts))
-    if isinstance(kind, types.Array):
-        array = kept(value)
-        numbers = (array.size, array.itemsize, array.ctypes.data, *array.shape, *array.strides)
-        return _layout(kind)(0, 0, *numbers)
-    return kept(value).address if isinstance(kind, Records) else value
-
-
-def _unpacked(kind: Any, value: Any, arrays: Iterator[Any]) -> Any:
-    """The value in a layout."""
-    if isinstance(kind, types.BaseTuple):
-        fields = (getattr(value, name) for name, _ in value._fields_)
-        parts = [_unpacked(part, field, arrays) for part, field in zip(kind, fields, strict=True)]
-        named = isinstance(kind, types.BaseNamedTuple)
-        return kind.instance_class(*parts) if named else tuple(parts)
-    return next(arrays) if isinstance(kind, types.Array | Records) else value
-
-
-class RecordList:
-    """Several NamedTuples of one type, which kernels read and write in place; in Python a list of them.
-
-    A record that is written keeps its arrays and takes the numbers.
-    """
-
-    def __init__(self, items: Sequence[Any]) -> None:
-        target = numba.typeof(items[0])
-        self.kind = Records(target)
-        self._arrays: list[list[Any]] = [[] for _ in items]
-        self._block = (_layout(target) * len(items))()
-        for row, item in enumerate(items):
-            self._block[row] = _packed(target, item, partial(_keep, self._arrays[row]))
-        self.address = ctypes.addressof(self._block)
-
-    def __len__(self) -> int:
-        return len(self._block)
-
-    def __getitem__(self, row: int) -> Any:
-        return _unpacked(self.kind.target, self._block[row], iter(self._arrays[row]))
-
-    def __setitem__(self, row: int, item: Any) -> None:
-        copied = partial(_copy, iter(self._arrays[row]))
-        self._block[row] = _packed(self.kind.target, item, copied)
-
-
-def _keep(arrays: list[Any], array: Any) -> Any:
-    arrays.append(array)
-    return array
-
-
-def _copy(arrays: Iterator[Any], array: Any) -> Any:
-    there = next(arrays)
-    if there.shape != array.shape:
-        raise ValueError(f"array of shape {array.shape}: expected {there.shape}")
-    there[...] = array
-    return there
-
-
-class Referred:
-    """A NamedTuple that Python hands to kernels as one pointer; its fields are read as of the tuple."""
-
-    def __init__(self, value: Any) -> None:
-        kind, self.value = numba.typeof(value), value
-        self.kind, self._arrays = Pointer(kind), list[Any]()
-        self._block = _packed(kind, value, partial(_keep, self._arrays))
-        self.address = ctypes.addressof(self._block)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.value, name)
-
-
 @typeof_impl.register(RecordList)
 @typeof_impl.register(Referred)
 def _typeof(value: Any, _: Any) -> Any:
-    return value.kind
+    kinds = vars(value)
+    if "type" not in kinds:  # each call of a kernel asks
+        pointer = Pointer if isinstance(value, Referred) else Records
+        kinds["type"] = pointer(numba.typeof(value.example))
+    return kinds["type"]
 
 
 # Formulas ------------------------------------------------------------------------------------------------------------

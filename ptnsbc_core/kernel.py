@@ -13,6 +13,8 @@ from functools import cached_property, update_wrapper
 from types import ModuleType
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
+from ptnsbc_core.machine_code import Entry, Loaded, RecordList, Referred, kind_of, load
+
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -45,6 +47,15 @@ class Kernel(Generic[P, R]):
     def __init__(self, law: Callable[P, R]) -> None:
         update_wrapper(self, law)
         self.py_func = law
+        self._loaded: dict[Any, Loaded] = {}
+
+    def loaded(self, arguments: tuple[Any, ...]) -> Loaded:
+        """The law in memory for arguments of these types: from the cache without numba, or compiled."""
+        kinds = kind_of(arguments)
+        if kinds not in self._loaded:
+            found = load(self.py_func, kinds) or compiler().loaded(self.py_func, arguments)
+            self._loaded[kinds] = found
+        return self._loaded[kinds]
 
     @cached_property
     def dispatcher(self) -> Any:
@@ -86,11 +97,7 @@ def prepared(law: Callable[P, R], *arguments: Any) -> Callable[P, R]:
     """The kernel `law` for arguments of these types, which no call checks: that can take longer than a step."""
     if not isinstance(law, Kernel):
         return law
-    from numba import typeof
-
-    kinds = tuple(typeof(argument) for argument in arguments)
-    law.dispatcher.compile(kinds)
-    return cast(Callable[P, R], law.dispatcher.overloads[kinds].entry_point)
+    return cast(Callable[P, R], Entry(law.loaded(arguments), arguments))
 
 
 def by_reference(value: T) -> T:
@@ -117,7 +124,7 @@ _parts.append(("at_address", fails))
 
 def referred(value: T) -> T:
     """In Python: a NamedTuple as kernels take it by one pointer; it reads as the NamedTuple. None stays None."""
-    return cast(T, compiler().Referred(value)) if COMPILED and value is not None else value
+    return cast(T, Referred([value])) if COMPILED and value is not None else value
 
 
 def kernel_list(items: Sequence[T]) -> MutableSequence[T]:
@@ -127,4 +134,4 @@ def kernel_list(items: Sequence[T]) -> MutableSequence[T]:
     """
     if not COMPILED:
         return list(items)
-    return cast(MutableSequence[T], compiler().RecordList(items))
+    return cast(MutableSequence[T], RecordList(items))

@@ -327,7 +327,7 @@ class ClearanceTask(NamedTuple):
     """The clearance task at one tick: the task with the highest priority."""
 
     velocity: Vector3  # J^+ of the binding constraints [m/s]; zero without any
-    jacobian: Array  # (A, 3) their normals
+    jacobian: Array  # (A, 3) their normals; without any its width means nothing
     secondary: Vector3  # velocity for the priority below: the formation's, with circulation added
     memory: Array  # obstacle memory after this tick
 

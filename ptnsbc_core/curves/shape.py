@@ -14,7 +14,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import axpy, scale3, store3, sub3
 from ptnsbc_core.curves.trajectory import Heading, curve_state, polynomial, row_at
-from ptnsbc_core.kernel import formula, inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel, prepared
 from ptnsbc_core.timebase import h, h_rate
 from ptnsbc_core.types import Array, Shape, Trajectory, Vector3
 
@@ -117,13 +117,17 @@ def places_from_rest(shape: Shape, trajectory: Trajectory, duration_s: float, t:
     )
 
 
-@kernel
 def place_samples(shape: Shape, trajectory: Trajectory, times: Array) -> Array:
     """Place, velocity and acceleration of a UAV beside the leader (T, 9), at times (T,) [s] since the first epoch."""
-    out = np.empty((times.shape[0], 9))
+    given = (shape, trajectory, np.ascontiguousarray(times), np.empty((len(times), 9)))
+    prepared(_sample, *given)(*given)
+    return given[-1]
+
+
+@kernel
+def _sample(shape: Shape, trajectory: Trajectory, times: Array, out: Array) -> None:
     for k in range(times.shape[0]):
         own = places(shape, trajectory, times[k]).own
         store3(out[k], 0, own.position)
         store3(out[k], 3, own.velocity)
         store3(out[k], 6, own.acceleration)
-    return out

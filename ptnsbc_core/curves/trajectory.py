@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import axpy, store3
-from ptnsbc_core.kernel import formula, inline_kernel, kernel
+from ptnsbc_core.kernel import formula, inline_kernel, kernel, prepared
 from ptnsbc_core.types import (
     HEADING_PATH,
     HEADING_TABLE,
@@ -191,10 +191,15 @@ def curve_state(trajectory: Trajectory, t: float) -> CurveState:
     return CurveState(at.position, at.velocity, at.acceleration, jerk, Heading(at.yaw, 0.0, 0.0))
 
 
-@kernel
 def curve_samples(trajectory: Trajectory, times: Array) -> Array:
     """`curve_state` at times (T,) [s]: (T, 15), the fields in their order."""
-    out = np.empty((times.shape[0], 15))
+    given = (trajectory, np.ascontiguousarray(times), np.empty((len(times), 15)))
+    prepared(_sample, *given)(*given)
+    return given[-1]
+
+
+@kernel
+def _sample(trajectory: Trajectory, times: Array, out: Array) -> None:
     for k in range(times.shape[0]):
         at = curve_state(trajectory, times[k])
         store3(out[k], 0, at.position)
@@ -203,4 +208,3 @@ def curve_samples(trajectory: Trajectory, times: Array) -> Array:
         store3(out[k], 9, at.jerk)
         heading = at.heading
         store3(out[k], 12, (heading.angle, heading.rate, heading.acceleration))
-    return out

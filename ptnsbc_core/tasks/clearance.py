@@ -217,8 +217,7 @@ def clearance(
         return switched(position, velocity, view, config)
     if config.rule == AVOIDANCE_OFF or _unconstrained(position, velocity, view, config):
         # a new array would cost an allocation at every tick
-        no_rows = view.memory[:0].reshape(0, 3)
-        return ClearanceTask((0.0, 0.0, 0.0), no_rows, velocity, view.memory)
+        return ClearanceTask((0.0, 0.0, 0.0), view.memory[:0], velocity, view.memory)
     return set_based(position, velocity, view, config)
 
 

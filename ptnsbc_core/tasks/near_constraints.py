@@ -87,7 +87,7 @@ class ClearanceConstraints(NamedTuple):
     depth: Array  # (M,) [m]
 
 
-@kernel
+@inline_kernel
 def empty_memory() -> Array:
     """An empty memory (8, 7)."""
     return np.zeros((SLOTS, 7))

@@ -15,7 +15,7 @@ from geometry_msgs.msg import Point, Quaternion
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import Array
 from ptnsbc_io.cdr import encode, split_stamp
@@ -149,7 +149,7 @@ def _all_markers(
         shown.append(marker)
     trajectory = agent_config(scenario, leader).trajectory
     times = np.linspace(0.0, float(scenario.timing.duration_s), _PATH_POINTS)
-    path = [np.array(reference(trajectory, t).position) for t in times]
+    path = [*curve_samples(trajectory, times)[:, :3]]
     shown.append(_line("leader_path", 0, Marker.LINE_STRIP, _PATH, path))
     for i in ids:
         colour = (*colours[i][:3], _TRAIL_OPACITY)

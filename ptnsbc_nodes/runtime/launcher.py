@@ -2,7 +2,7 @@
 
 No vehicle is left alone: a process that a launcher has started ends with it, even when the launcher is killed. An
 orphan would fly on unnoticed. Only the kernel can promise this, by `PR_SET_PDEATHSIG` of prctl(2), for which Python
-has no function: this is the one place that calls the C library.
+has no function.
 
 A report is a line with a word and its text: `running` once the process serves its node, `finished SUMMARY` once its
 work is done, with the summary as JSON.

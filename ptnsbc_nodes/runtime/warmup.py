@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
+from ptnsbc_core.kernel import prepared
 from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.types import NEAR_COLUMNS
@@ -18,7 +19,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     neighbours = len(scenario.topology.neighbours.get(uav_id, ()))
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
-    move_to_present(inputs.vector[OWN:PARENT], 0.0)
+    prepared(move_to_present, inputs.vector[OWN:PARENT], 0.0)
     config, dt = agent_config(scenario, uav_id), seconds(scenario.timing.dt_ns)
     agent = Agent(config, inputs.unpack().own)
     if uav_id != scenario.leader.id and scenario.plugins.task is not None:
@@ -27,8 +28,6 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     else:
         guided = scenario.law is not None and uav_id != scenario.leader.id
         agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
-    # The step log reads the state, and the next leg goes on from it.
-    Agent.resumed(config, agent.state)
 
 
 def load_fleet(scenario: Scenario) -> None:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from ptnsbc_core.agent import (
-    ESTIMATES,
     LEADER,
     LEADER_AGE,
     MODE,
@@ -25,6 +25,7 @@ from ptnsbc_core.agent import (
     PackedInputs,
 )
 from ptnsbc_core.behaviours.neighbour import mean_parent
+from ptnsbc_core.kernel import prepared
 from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETRY_SIZE, Array
@@ -134,10 +135,15 @@ class Inbox:
         self._used = [*states, *estimates]
         self._places = {i: place for place, (i, _) in enumerate(states, 2)}  # of states in `used`
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
-        parents = 0 if senders.several is None else len(senders.several.ids)
-        self._parent_states = np.zeros((parents, ODOMETRY_SIZE))
-        self._parent_ages = np.zeros(parents)
-        self._own_row = self._inputs.vector[OWN:PARENT]
+        several, vector = senders.several, self._inputs.vector
+        if several is not None:
+            count = len(several.ids)
+            self._parents = heard, ages = np.zeros((count, ODOMETRY_SIZE)), np.zeros(count)
+            given = (several.weights, several.shifts, several.stale_s, vector[PARENT:LEADER])
+            law = prepared(mean_parent, heard, ages, *given)
+            self._mean_parent = partial(law, heard, ages, *given)
+        self._own_row = vector[OWN:PARENT]
+        self._move_to_present = prepared(move_to_present, self._own_row, 0.0)
         self._rows = tuple(self._rows_of_messages())
         self._await()
 
@@ -200,11 +206,12 @@ class Inbox:
         self._own_row[:] = self.own.values
         self.own_age_s = _age_s(self.own, now_ns)
         if self.own_age_s > 0.0:  # all others are extrapolated to the present too
-            move_to_present(self._own_row, self.own_age_s)
+            self._move_to_present(self._own_row, self.own_age_s)
         vector[MODE] = mode
         vector[START_AGE] = start_age_s
         if self.near is not None:
-            inputs.near = self.near.values
+            if inputs.near is not self.near.values:
+                inputs.near = self.near.values
             vector[NEAR_AGE] = _age_s(self.near, now_ns)
         used = self.used = self.held(now_ns, cutoff_ns)
         for place, row, age_at in self._rows:
@@ -214,16 +221,13 @@ class Inbox:
                 vector[age_at] = _age_s(message, now_ns)
         several = self.senders.several
         if several is not None:  # their messages as one
-            states, ages = self._parent_states, self._parent_ages
+            states, ages = self._parents
             for k, uav_id in enumerate(several.ids):
                 message = used[self._places[uav_id]]
                 ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
                 if message is not None:
                     states[k] = message.values
-            mean, stale_s = vector[PARENT:LEADER], several.stale_s
-            vector[PARENT_AGE] = mean_parent(
-                states, ages, several.weights, several.shifts, stale_s, mean
-            )
+            vector[PARENT_AGE] = self._mean_parent()
         return inputs
 
     def _rows_of_messages(self) -> Iterator[tuple[int, Array, int]]:
@@ -234,8 +238,7 @@ class Inbox:
         if senders.leader is not None:
             yield self._places[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
         first = 2 + len(senders.states)
-        estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
-        for k, row in enumerate(estimates):
+        for k, row in enumerate(inputs.arrays.estimates):
             yield first + k, row, inputs.ages + k
 
 

@@ -152,7 +152,7 @@ def test_without_rule_or_objects_nothing_changes() -> None:
     for rule, near in ((AVOIDANCE_OFF, ROCK), (AVOIDANCE_SET_BASED, np.empty((0, 8)))):
         top, velocity = result(np.array([0.5, 0, 0]), wanted, near, config_of(rule))
         np.testing.assert_array_equal(velocity, wanted)
-        assert top.jacobian.shape == (0, 3)
+        assert top.jacobian.shape[0] == 0
 
 
 def test_an_object_at_the_same_place_asks_for_nothing() -> None:
