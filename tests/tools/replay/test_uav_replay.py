@@ -80,7 +80,7 @@ def test_another_law_of_this_name_gives_others(bag: Path, tmp_path: Path) -> Non
 def test_without_the_file_nothing_is_executed(bag: Path) -> None:
     code, out, err = _rerun(bag)
     assert (code, out) == (2, "")
-    assert "consensus.py:consensus, which a bag does not carry: give it with --plugin" in err
+    assert "consensus.py:consensus, which a bag does not carry: give the plugin" in err
     read = read_bag(bag)
     with pytest.raises(PluginError, match="a bag names a law and does not carry it"):
         rerun(read, scenario_of(read, None))
