@@ -179,7 +179,7 @@ class LawFiles:
         return f"{self._name}-{hashlib.sha256(str(key).encode()).hexdigest()[:32]}.{self._ending}"
 
     def load(self, form: tuple[object, ...], made: Callable[[Any], T]) -> T | None:
-        """What is `made` of the parts of the law in this form, or None."""
+        """Result of `made` on the parts of the law in this form; None without a file."""
         key = (*self._law, *form)
         content = self._folder.read(self._file(key))
         if content is None:

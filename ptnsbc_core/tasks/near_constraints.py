@@ -379,7 +379,7 @@ def _braking_constraint(
         relative = scaled(part, relative)
     closing_in = flattened(relative, flat)
     space = clear_velocities(away, keep_out, closing_in, allowed)
-    if not moves:
+    if not moves and keep_out < TANGENT_RADIUS_M:  # the sphere of a body goes along with the UAV
         late_space = _later(away, keep_out, closing_in, allowed, late)
         if _lacks(late_space, closing_in) > _lacks(space, closing_in):
             space = late_space
