@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.launcher import launcher_ended
 from ptnsbc_nodes.runtime.node_process import (
     ProcessLifetime,
     options_of,
@@ -38,10 +39,14 @@ class _LandingLifetime(ProcessLifetime):
     def __init__(self) -> None:
         super().__init__()
         self.bridge: BridgeNode | None = None
-        self._requested = False
+        self._requested = self._orphaned = False
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        repeated, self._requested = self._requested, True
+        before, self._orphaned = self._orphaned, launcher_ended()
+        by_kernel = (
+            self._orphaned and not before
+        )  # the end of the launcher is nobody's second request
+        repeated, self._requested = self._requested and not by_kernel, True
         if repeated or self.bridge is None or not self.bridge.land():
             super()._on_signal(number, frame)
             return

@@ -33,8 +33,13 @@ def stay_with_launcher() -> None:
     if parent in (None, str(os.getpid())) or not sys.platform.startswith("linux"):
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if str(os.getppid()) != parent:
+    if launcher_ended():
         raise SystemExit("the launcher has ended")
+
+
+def launcher_ended() -> bool:
+    """True if a launcher has started this process, and has ended."""
+    return os.environ.get(PARENT) not in (None, str(os.getpid()), str(os.getppid()))
 
 
 def report_running() -> None:

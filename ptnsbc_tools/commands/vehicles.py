@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import (
@@ -17,46 +17,29 @@ from ptnsbc_tools.options import (
     scenario_with,
 )
 
-if TYPE_CHECKING:
-    from ptnsbc_sim.scenario import Scenario
-
 _EXAMPLE = "experiment_4"
 _INSTALL = "install the extras [ros,mavlink] or source ROS 2"
 _FARTHEST_M = 1e4  # the flat map of a stand-in holds for some kilometres
 
 
-@dataclass(frozen=True)
-class Vehicle:
-    """One vehicle of a scenario, and the link to it."""
-
-    uav: Annotated[int, option("--uav N", "Id of the UAV in the scenario.")]
+def bridge(
+    uav: Annotated[int, option("--uav N", "Id of the UAV in the scenario.")],
     scenario: Annotated[
         str, argument("[SCENARIO]", "Scenario of the fleet, with limits, fence and links.")
-    ] = _EXAMPLE
+    ] = _EXAMPLE,
     connect: Annotated[
         str | None,
         option(
             "--connect LINK",
             "udpin:, udpout: or tcp:HOST:PORT, or serial:DEVICE[:BAUD]. Default: as in the scenario.",
         ),
-    ] = None
+    ] = None,
     signing_key: Annotated[
         Path | None, option("--signing-key FILE", "Key for signing. Default: as in the scenario.")
-    ] = None
-    allow_arming: AllowArmingOption = False
-    settings: SetOption = None
-
-    def flown(self) -> Scenario:
-        """The scenario as real vehicles fly it."""
-        from ptnsbc_sim.scenario.reading.reader import set_keys
-
-        keys = set_keys(self.settings or ())
-        if self.connect is not None:
-            keys[f"mavlink.vehicles.{self.uav}.connect"] = self.connect
-        return scenario_with(self.scenario, keys).bridged()
-
-
-def bridge(vehicle: Vehicle) -> None:
+    ] = None,
+    allow_arming: AllowArmingOption = False,
+    settings: SetOption = None,
+) -> None:
     """Bridge one flight controller to its UAV process; without --allow-arming it never arms.
 
     Ctrl-C lands a flying vehicle. A second Ctrl-C ends the bridge at once, and the failsafe of the
@@ -64,14 +47,15 @@ def bridge(vehicle: Vehicle) -> None:
     """
     with ros.required(_INSTALL):
         from ptnsbc_nodes.bridge.process import serve_bridge
-    code = serve_bridge(
-        vehicle.flown(),
-        vehicle.uav,
-        sys.argv[:1],
-        signing_key=vehicle.signing_key,
-        allow_arming=vehicle.allow_arming,
+    from ptnsbc_sim.scenario.reading.reader import set_keys
+
+    keys = set_keys(settings or ())
+    if connect is not None:
+        keys[f"mavlink.vehicles.{uav}.connect"] = connect
+    flown = scenario_with(scenario, keys).bridged()
+    sys.exit(
+        serve_bridge(flown, uav, sys.argv[:1], signing_key=signing_key, allow_arming=allow_arming)
     )
-    sys.exit(code)
 
 
 @dataclass(frozen=True)
