@@ -8,12 +8,14 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile
 
-import laspy
 import numpy as np
 from mcap.writer import CompressionType
 
@@ -219,8 +221,7 @@ class Files:
             (ROOT / "scenarios" / "yard.pcd").read_bytes()[:2000],
             b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 3\nDATA binary_compressed\n"
             b"\0\0\0\0\x24\0\0\0\3\0\0\x80\x3f\xe0\x17\3",
-            _las(compressed=False),
-            _las(compressed=True),
+            *_las(),
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
             b"property float z\nend_header\n1 2 3\n",
         ]
@@ -249,10 +250,13 @@ def _saved(write: Callable[[BytesIO], object]) -> bytes:
     return stream.getvalue()
 
 
-def _las(*, compressed: bool) -> bytes:
-    cloud = laspy.create(point_format=0, file_version="1.2")
+def _las() -> list[bytes]:
+    """Maps as LAS and LAZ, where the library that reads them is installed."""
+    if find_spec("laspy") is None:
+        return []
+    cloud = import_module("laspy").create(point_format=0, file_version="1.2")
     cloud.x = cloud.y = cloud.z = np.array([1.0, 2.0, 9.0])
-    return _saved(lambda stream: cloud.write(stream, do_compress=compressed))
+    return [_saved(partial(cloud.write, do_compress=packed)) for packed in (False, True)]
 
 
 def _archive(show: object) -> bytes:
@@ -274,8 +278,7 @@ class Wire:
 
     def __init__(self, _folder: Path) -> None:
         sample = read_bag(ROOT / "bags" / "sample").messages()
-        of_topic = {one.topic: one.data for one in islice(sample, 2000)}
-        self.sound = list(of_topic.values())
+        self.sound = list({one.topic: one.data for one in islice(sample, 2000)}.values())
 
     def make(self, chance: random.Random) -> bytes:
         """A mutation."""
@@ -320,12 +323,10 @@ class Packets:
         """A packet with a right checksum and random content, cut or too long at times."""
         number = chance.choice(self._kinds)
         kind = mavlink.mavlink_map[number]
-        payload = chance.randbytes(
-            min(255, max(0, kind.unpacker.size + chance.choice((0, 0, -1, 5))))
-        )
-        head = bytes((0xFD, len(payload), 0, 0, chance.randrange(256), 1, 1)) + number.to_bytes(
-            3, "little"
-        )
+        size = kind.unpacker.size + chance.choice((0, 0, -1, 5))
+        payload = chance.randbytes(min(255, max(0, size)))
+        head = bytes((0xFD, len(payload), 0, 0, chance.randrange(256), 1, 1))
+        head += number.to_bytes(3, "little")
         crc = mavlink.x25crc(head[1:] + payload + bytes([kind.crc_extra])).crc
         return head + payload + crc.to_bytes(2, "little")
 
