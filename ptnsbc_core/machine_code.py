@@ -108,6 +108,11 @@ class RecordList:
     def __getitem__(self, row: int) -> Any:
         return _unpacked(self.kind, self._block[row], iter(self._arrays[row]))
 
+    def __reduce__(self) -> Any:
+        return type(self), (
+            [self[row] for row in range(len(self))],
+        )  # the addresses in the block are those of these arrays
+
     def __setitem__(self, row: int, item: Any) -> None:
         copied = partial(_copy, iter(self._arrays[row]))
         self._block[row] = _packed(self.kind, item, copied)
@@ -157,6 +162,9 @@ class Entry:
         pointer, number, word = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
         kinds = [number if isinstance(one, float) else word for one in self._words]
         self._law = ctypes.PYFUNCTYPE(ctypes.c_int, pointer, pointer, *kinds)(kernel.address)
+
+    def __deepcopy__(self, _memo: object) -> Entry:
+        return self  # it knows its arguments again only as the same objects
 
     def __call__(self, *arguments: Any) -> float:
         """The number that the law gives, 0 where it gives none; RuntimeError where it raises."""

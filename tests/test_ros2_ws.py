@@ -120,7 +120,9 @@ def test_what_a_package_imports_is_a_dependency(name):
 
 @pytest.mark.parametrize("name", LINKED)
 def test_what_the_tests_of_a_package_import_is_a_dependency(name):
-    own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"bench", "docs", "tests"}
+    own = {path.stem for folder in ("tests", "examples") for path in (ROOT / folder).rglob("*.py")}
+    own |= {path.name for path in (ROOT / "tests" / "messages").iterdir()}
+    own |= {"bench", "docs", "tests"}
     needed = imported(ROOT / "tests" / name.removeprefix("ptnsbc_")) - own - set(LINKED)
     assert needed <= declared(name, "exec_depend") | declared(name, "test_depend")
 

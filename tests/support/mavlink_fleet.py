@@ -44,7 +44,7 @@ AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
 copyreg.pickle(struct.Struct, lambda one: (struct.Struct, (one.format,)))
 copyreg.pickle(type(threading.Lock()), lambda _: (threading.Lock, ()))
 copyreg.pickle(PackedOutputs, lambda one: (PackedOutputs, (one.vector,)))
-copyreg.pickle(Agent, lambda one: (Agent.resumed, (one._memory[0][0], one.state)))
+copyreg.pickle(Agent, lambda one: (Agent.resumed, (one._memory.configs[0], one.state)))
 HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
 
 
@@ -324,6 +324,7 @@ class MavlinkFleet:
         for uav in other.uavs.values():  # a view of an array is copied as an array of its own
             inbox = uav.controller.inbox
             inbox._own_row = inbox._inputs.vector[OWN:PARENT]
+            inbox._inputs.near = inbox._inputs.near
         return other
 
     def announce(self, leg, lead_s=0.5):
