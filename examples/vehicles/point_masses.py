@@ -5,6 +5,7 @@ ptnsbc fleet lab_4 --backend ros --allow-arming        # in another terminal
 """
 
 import sys
+import time
 from contextlib import suppress
 from functools import partial
 
@@ -26,6 +27,7 @@ class PointMass:
         self.node, self.height_m = node, height_m
         self.position, self.velocity, self.wanted = np.array(position), np.zeros(3), np.zeros(3)
         self.armed, self.target_m, self.heard_s, self.told = False, None, 0.0, True
+        self.at_s = time.monotonic()
         self.poses = node.create_publisher(PoseStamped, f"/{name}/pose", 10)
         node.create_subscription(TwistStamped, f"/{name}/cmd_vel", self.on_velocity, 1)
         for service in ("arm", "take_off", "land"):
@@ -46,15 +48,16 @@ class PointMass:
         return response
 
     def step(self):
-        """One step of its motion."""
-        self.heard_s += PERIOD_S
+        """Its motion since the step before, which a busy computer makes longer."""
+        passed_s, self.at_s = time.monotonic() - self.at_s, time.monotonic()
+        self.heard_s += passed_s
         wanted = self.wanted if self.heard_s < SILENT_S else np.zeros(3)
         if self.target_m is not None:
             off = self.target_m - self.position[2]
             wanted = np.array([0.0, 0.0, np.clip(off, -CLIMB_M_S, CLIMB_M_S)])
         if self.armed:
-            self.velocity += PERIOD_S / LAG_S * (wanted - self.velocity)
-            self.position += PERIOD_S * self.velocity
+            self.velocity += (1.0 - np.exp(-passed_s / LAG_S)) * (wanted - self.velocity)
+            self.position += passed_s * self.velocity
             self.position[2] = max(self.position[2], 0.0)
         pose = PoseStamped()
         pose.header.frame_id, pose.header.stamp = "map", self.node.get_clock().now().to_msg()
