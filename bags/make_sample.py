@@ -21,7 +21,7 @@ SHOWS = (
     "Simulation 1 of the paper without its obstacles: five quadrotors start tilted and out of place, "
     "are in formation before the deadline of 5 s, and keep it on the circle until 8 s."
 )
-LARGEST_BYTES = 1_500_000
+LARGEST_BYTES = 1_600_000
 
 
 def _output(*command: str) -> str:

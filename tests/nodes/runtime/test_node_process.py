@@ -111,7 +111,7 @@ NODE = textwrap.dedent(
             print(time.process_time() - began, flush=True)
         return 0
 
-    raise SystemExit(run(Arguments("spinner", "", scenario=False), [], body))
+    raise SystemExit(run(Arguments("spinner", ""), ["--scenario", "paper_5"], body))
     """
 )
 

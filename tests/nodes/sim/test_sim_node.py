@@ -39,7 +39,7 @@ def disturbance(inputs):
 
 def sensor(inputs):
     x, y, z = inputs.odometry[:3]
-    return np.array([[x, y, z + 1.0, 0.25, 0.0, 0.0, 0.0]])
+    return np.array([[x, y, z + 1.0, 0.25, 0.0, 0.0, 0.0, 0.0]])
 """
 
 
