@@ -261,7 +261,7 @@ def test_functions_of_the_user_are_the_world_in_real_time(ros, tmp_path):
     ros.spin_until(lambda: uavs.odometry[4] and uavs.near[4])
     began_m = uavs.odometry[4][0].values[0]
     ros.spin_until(lambda: uavs.odometry[4][-1].values[0] > began_m + 0.2)
-    np.testing.assert_array_equal(uavs.near[4][-1].values[:, 3:], [[0.25, 0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(uavs.near[4][-1].values[:, 3:], [[0.25, 0.0, 0.0, 0.0, 0.0]])
 
 
 def hovering(uavs):
