@@ -52,7 +52,7 @@ def opened(ros):
 
 @pytest.fixture
 def heard(ros):
-    """What comes on a topic, and a function that publishes on one."""
+    """The messages heard on a topic, and a function that publishes on one."""
     other = ros.node("other")
 
     def listen(kind, topic):
