@@ -37,7 +37,7 @@ def test_another_reader_reads_every_message():
     assert counts == ours
     assert counts["/uav5/odom"] == 750
     assert counts["/tf"] == 5 * 150
-    assert counts["/formation/markers"] == 40
+    assert counts["/formation/markers"] == 38
 
 
 def test_the_verdict_is_that_of_its_manifest():
