@@ -104,7 +104,10 @@ def test_a_law_that_is_compiled_does_not_hold_up_an_interrupt(tmp_path: Path) ->
     assert process.returncode == 130
     assert usage.ru_utime + usage.ru_stime - spent_s < 2.0  # of the 6 that LLVM takes
     (folder,) = tmp_path.iterdir()
-    assert {path.suffix for path in folder.iterdir()} == {".kernel", ".code"}  # nothing half-written
+    assert {path.suffix for path in folder.iterdir()} == {
+        ".kernel",
+        ".code",
+    }  # nothing half-written
     cache = CacheFolder(tmp_path, folder.name)
     assert all(cache.read(path.name) for path in folder.iterdir())
 
