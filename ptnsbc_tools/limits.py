@@ -11,7 +11,6 @@ from ptnsbc_core.errors import PtnsbcError
 
 LONGEST_S = 1e6  # as timing.duration_s
 FASTEST_HZ = 1e4
-LARGEST_MB = 1e6
 MOST_RUNS = 1_000_000
 LARGEST_SEED = 10**18
 DRY_RUNS = 20  # perturbed flights before a flight

@@ -94,11 +94,6 @@ class McapFileWriter:
         return [self._counts.get(channel.id, 0) for channel in self._channels]
 
     @property
-    def size(self) -> int:
-        """Bytes so far, without those of the open chunk."""
-        return self._stream.tell()
-
-    @property
     def summary(self) -> FileSummary:
         """Name, times and number of messages so far."""
         return FileSummary(self.path.name, self.start_ns or 0, self._end_ns, sum(self.counts))

@@ -15,7 +15,6 @@ import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
 
 from mcap.writer import CompressionType
 
@@ -33,22 +32,6 @@ from ptnsbc_io.bag.metadata import (
 FLUSH_PERIOD = 0.5  # [s]: with the time to notice and to write, below the promised second
 
 _OF_A_BAG = re.compile(r"metadata\.yaml|.*\.(mcap|db3)(\.zstd)?")
-
-
-class SplitLimits(NamedTuple):
-    """The limits at which a bag goes on in another file; None: never."""
-
-    size_bytes: int | None = None
-    duration_ns: int | None = None  # in log time
-
-    def are_reached(self, file: McapFileWriter, log_ns: int) -> bool:
-        """True if a message logged at `log_ns` belongs into the next file."""
-        if file.start_ns is None:
-            return False
-        if self.duration_ns is not None and log_ns - file.start_ns >= self.duration_ns:
-            return True
-        # The open chunk is not in the file yet: the file may exceed the limit by one chunk.
-        return self.size_bytes is not None and file.size >= self.size_bytes
 
 
 def check_replaceable(directory: Path, *, overwrite: bool) -> None:
@@ -142,7 +125,6 @@ class BagWriter:
         metadata: Mapping[str, str] | None = None,
         compression: CompressionType = CompressionType.ZSTD,
         overwrite: bool = False,
-        limits: SplitLimits = SplitLimits(),  # noqa: B008 - immutable
     ) -> None:
         # Absolute, so that `.` has a name and a later chdir changes nothing.
         self.directory = Path(os.path.abspath(directory))
@@ -155,7 +137,6 @@ class BagWriter:
         self._attachments = dict(attachments or {})
         self._compression = compression
         self._overwrite = overwrite
-        self._limits = limits
         self._numbers = {topic.name: number for number, topic in enumerate(self._topics)}
         self._counts = [0] * len(self._topics)  # messages of each topic
         self._finished: list[FileSummary] = []
@@ -201,17 +182,6 @@ class BagWriter:
         with self._guard:
             self._file = self._next_file()
 
-    def add(self, topic: TopicDeclaration) -> None:
-        """Add a topic that was not known at the start."""
-        if self._file is None:
-            raise BagError(f"{self.directory}: topic {topic.name}: expected an open bag")
-        if topic.name not in self._numbers:
-            self._numbers[topic.name] = len(self._topics)
-            self._topics.append(topic)
-            self._counts.append(0)
-            with self._guard:
-                self._file.declare(topic)
-
     def write(
         self,
         topic: str,
@@ -235,8 +205,6 @@ class BagWriter:
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
         publish_ns = stamp_ns if publish_ns is None else publish_ns
         sequence = self._counts[number] if sequence is None else sequence
-        if self._limits.are_reached(self._file, stamp_ns):
-            self.split()
         with self._guard:
             self._file.add(number, stamp_ns, publish_ns, sequence, data)
             self._counts[number] += 1

@@ -1,7 +1,6 @@
-"""Recording over DDS: subscriptions that write into a bag until they are told to end, and a recording beside any fleet.
+"""Recording over DDS: subscriptions that write into a bag until they are told to end.
 
-`record` finds topics that are not known in advance. Each topic is subscribed to with what its publishers offer, at once
-or when it appears. Messages are logged at their arrival. /tf is made of odometry where no process publishes it.
+Messages are logged at their arrival. /tf is made of odometry where no process publishes it.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from fnmatch import fnmatchcase
 from inspect import Parameter, Signature
 from typing import Any
 
@@ -18,17 +16,14 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, TopicDeclaration, declare
+from ptnsbc_io.bag import BagWriter, TopicDeclaration, declare
 from ptnsbc_io.bag.metadata import has_header
 from ptnsbc_nodes.comm import qos, topics
-from ptnsbc_nodes.comm.agent_messages import Transforms
 from ptnsbc_nodes.comm.door import Door, Refusals, as_bytes
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
-from ptnsbc_nodes.runtime.node_process import BoundedSpin, plain_node
-from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_nodes.runtime.node_process import BoundedSpin
 
 Derive = Callable[[str, bytes], bytes | None]
 """Makes a message out of the topic and the bytes of another; None when none is due."""
@@ -37,6 +32,7 @@ _SLICE_S = 0.1  # Python sees a signal only between two calls of the executor
 _QUIET_S = 0.2  # after so long without a message the queues are empty
 _FLUSH_CHECK_S = 0.1
 _LARGEST = 1 << 30  # bytes of a message: an image or a point cloud of any sensor
+OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
 _LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
 
 
@@ -170,17 +166,6 @@ class BagRecorder:
         }
 
 
-def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicDeclaration:
-    """The description of a topic in a bag, by the weakest profile that its publishers offer."""
-    return declare(
-        name,
-        kind,
-        reliable=all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered),
-        latched=all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered),
-        depth=max([1, *(qos.depth for qos in offered)]),  # discovery does not tell every depth
-    )
-
-
 def stamp_of(topic: Topic, data: bytes) -> int | None:
     """The header stamp [ns] of a message, of its first element for a list; None without one."""
     listed = topic.type in _LISTS
@@ -196,103 +181,11 @@ def stamp_of(topic: Topic, data: bytes) -> int | None:
 
 def topic_info(topic: Topic, *, lockstep: bool) -> TopicDeclaration:
     """The description of `topic` in a bag: the profile that its publishers offer."""
-    return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
-
-
-OURS = tuple(
-    topic.name.replace("/uav0/", "/uav*/")
-    for topic in topics.in_bag(
-        [0], lockstep=False, with_truth=True, with_slots=True, with_stream=True
+    offered = qos.profile(topic, lockstep=lockstep)
+    return declare(
+        topic.name,
+        topic.type,
+        reliable=offered.reliability == QoSReliabilityPolicy.RELIABLE,
+        latched=offered.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+        depth=offered.depth,
     )
-)
-"""Topics of a flight, as patterns."""
-_LOOK_S = 0.5  # between two looks for new topics
-_QUEUE = 1000
-_DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
-OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
-
-
-def record(
-    writer: BagWriter,
-    patterns: Sequence[str],
-    say: Callable[[str], None],
-    duration_s: float | None = None,
-) -> Mapping[str, Any]:
-    """Record topics of these names into a bag until the time is over or a signal comes; returns what was recorded.
-
-    Raises:
-        BagError: the bag cannot be written.
-        PtnsbcError: not one message came.
-    """
-    with StopRequest() as stop, plain_node("record") as (node, executor):
-        with writer:
-            recorder = TopicRecorder(node, writer, patterns, say)
-            say("ready")
-            end = time.monotonic() + (duration_s or float("inf"))
-            recorder.serve(executor, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
-        found = recorder.summary(interrupted=stop.came)
-        if refused := recorder.refusals.report():
-            say(refused)
-    if not found["messages"]:
-        raise PtnsbcError(
-            f"no message on {', '.join(patterns)}: does a fleet run in this ROS domain? "
-            f"the empty bag is in {writer.directory}"
-        )
-    return found
-
-
-class TopicRecorder(BagRecorder):
-    """Subscriptions of `node` that write into an open `writer` topics of some `patterns`, as in a shell: `*` and `?`.
-
-    `say` gets a line for each topic that cannot be recorded.
-    """
-
-    def __init__(
-        self, node: Node, writer: BagWriter, patterns: Sequence[str], say: Callable[[str], None]
-    ) -> None:
-        super().__init__(node, writer)
-        self._patterns = patterns
-        self._say = say
-        self._known: set[str] = set()
-        self._tf = topic_info(topics.TF, lockstep=False)
-        node.create_timer(_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.flush_regularly()
-        self.look()
-
-    def look(self) -> None:
-        """Subscribe to what has appeared since the last look."""
-        for name, types in self._node.get_topic_names_and_types():
-            if name in self._known or not any(fnmatchcase(name, p) for p in self._patterns):
-                continue
-            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
-            if offered:  # without a publisher there are subscriptions only
-                self._known.add(name)
-                self._add(Topic(name, types[0], Role.STATE), offered)
-
-    def _add(self, topic: Topic, offered: Sequence[QoSProfile]) -> None:
-        try:
-            declared = describe(topic.name, topic.type, offered)
-            self._writer.add(declared)
-            topics.message_class(topic)
-        except (BagError, ImportError, AttributeError) as error:
-            self._say(f"{topic.name} is left out: {error}")
-            return
-        derived: list[tuple[str, Derive]] = []
-        own = OWN_ODOMETRY.fullmatch(topic.name)
-        if own and topic.type == topics.odom(1).type and topics.TF.name not in self._known:
-            self._writer.add(self._tf)
-            transforms = Transforms([int(own[1])])
-
-            def transform(name: str, data: bytes) -> bytes | None:
-                """Until a process is known to publish /tf."""
-                made = transforms.of(name, data)
-                return None if topics.TF.name in self._known else made
-
-            derived.append((topics.TF.name, transform))
-        (offer,) = declared.qos
-        profile = qos.keep_last(
-            _QUEUE,
-            reliable=offer["reliability"] == "reliable",
-            latched=offer["durability"] == "transient_local",
-        )
-        self.subscribe(topic, topic.name, self.on_arrival(topic, derived), profile)

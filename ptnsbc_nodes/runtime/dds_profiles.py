@@ -1,4 +1,4 @@
-"""Fast DDS profiles by which processes find each other: for one host, known computers, and a discovery server.
+"""Fast DDS profiles by which processes find each other: for one host, and for known computers.
 
 The templates lie in `profiles/`; this module fills them in. None of them uses multicast, so that no packet
 reaches a network that the user has not named.
@@ -12,31 +12,20 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 from ptnsbc_core.errors import PtnsbcError
 
 LOOPBACK = "127.0.0.1"
-SERVER_PORT = 11811
 PROCESSES = 32
 """The number of processes that are looked for on each host by default."""
 
-# rmw_fastrtps numbers the servers of ROS_DISCOVERY_SERVER in the same way: `DS SERVER <id>`.
-_SERVER_PREFIX = "44.53.{:02x}.5f.45.50.52.4f.53.49.4d.41"
 _WRITERS = "writers.xml"  # not on one host, where no packet is lost and each request costs time
 _MOST_PROCESSES = 120  # a domain has 250 ports, two for each process
 
 
 class NetworkError(PtnsbcError):
     """A network that no fleet can fly over."""
-
-
-class Server(NamedTuple):
-    """The address of a discovery server."""
-
-    address: str
-    port: int = SERVER_PORT
 
 
 def localhost(processes: int) -> str:
@@ -59,36 +48,6 @@ def static_peers(addresses: Sequence[str], processes: int = PROCESSES) -> str:
     hosts = dict.fromkeys((LOOPBACK, *map(resolved, addresses)))
     title = f"A fleet on {', '.join(addresses)}"
     return _peers(tuple(hosts), processes, title, _shipped(_WRITERS))
-
-
-def discovery_client(servers: Sequence[Server], *, everything: bool = False) -> str:
-    """The profile of a fleet whose processes find each other through servers, in the order of their ids.
-
-    With `everything` a process learns of every topic, not only of its own: for tools that list topics.
-    """
-    if not servers:
-        raise NetworkError("no server named: expected ADDRESS or ADDRESS:PORT of one")
-    return _filled(
-        "client.xml",
-        title=f"Through the discovery server {', '.join(f'{s.address}:{s.port}' for s in servers)}",
-        kind="SUPER_CLIENT" if everything else "CLIENT",
-        writers=_shipped(_WRITERS),
-        servers="".join(
-            f'<RemoteServer prefix="{_SERVER_PREFIX.format(number)}">'
-            "<metatrafficUnicastLocatorList><locator><udpv4>"
-            f"<address>{server.address}</address><port>{server.port}</port>"
-            "</udpv4></locator></metatrafficUnicastLocatorList></RemoteServer>"
-            for number, server in enumerate(servers)
-        ),
-    )
-
-
-def server(text: str) -> Server:
-    """ADDRESS or ADDRESS:PORT of a discovery server."""
-    address, colon, port = text.partition(":")
-    if colon and not (port.isdecimal() and 0 < int(port) < 2**16):
-        raise NetworkError(f"{text}: expected a port from 1 to 65535 behind the colon")
-    return Server(resolved(address), int(port) if colon else SERVER_PORT)
 
 
 def resolved(address: str) -> str:

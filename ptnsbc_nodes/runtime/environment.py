@@ -39,6 +39,7 @@ _FIRST_LOCK = 32768
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 _LOADS = "get_rmw_implementation_identifier"
+_SERVER_PORT = 11811  # of Fast DDS, where none is named
 _REFUSAL_S = 0.2  # in which a host says that nobody has a port
 _LIBRARY = "librmw_fastrtps_shared_cpp.so"
 _WITHOUT = (
@@ -116,14 +117,12 @@ def refuse_lonely_middleware() -> None:
         why = "processes would not find each other: expected LOCALHOST, or it unset"
         raise refuse("ROS_AUTOMATIC_DISCOVERY_RANGE", why)
     servers = [
-        dds_profiles.server(one)
+        one
         for one in os.environ.get("ROS_DISCOVERY_SERVER", "").split(";")
         if one and "[" not in one
     ]
     if servers and not any(map(_listens, servers)):
-        why = (
-            "nobody listens there: expected a running server (`ptnsbc network server`), or it unset"
-        )
+        why = "nobody listens there: expected ADDRESS:PORT of a running server, or it unset"
         raise refuse("ROS_DISCOVERY_SERVER", why)
     for peer in filter(None, os.environ.get("ROS_STATIC_PEERS", "").split(";")):
         try:
@@ -133,17 +132,18 @@ def refuse_lonely_middleware() -> None:
             raise refuse("ROS_STATIC_PEERS", why) from None
 
 
-def _listens(server: dds_profiles.Server) -> bool:
-    """False if the host of a discovery server answers that nobody has its port."""
+def _listens(server: str) -> bool:
+    """False if the host of a discovery server, ADDRESS or ADDRESS:PORT, answers that nobody has its port."""
+    address, _, port = server.partition(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.settimeout(_REFUSAL_S)
         try:
-            probe.connect(server)
+            probe.connect((address, int(port or _SERVER_PORT)))
             probe.send(b"")
             probe.recv(1)
         except TimeoutError:
             return True
-        except OSError:
+        except (OSError, ValueError, OverflowError):  # also an address that is none
             return False
     return True
 

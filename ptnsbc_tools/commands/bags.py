@@ -1,4 +1,4 @@
-"""`ptnsbc bag`: record, replay, show and repair bags."""
+"""`ptnsbc bag`: replay, show and repair bags."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ptnsbc_tools import console, ros
-from ptnsbc_tools.limits import FASTEST_HZ, LARGEST_MB, LONGEST_S
+from ptnsbc_tools.limits import FASTEST_HZ, LONGEST_S
 from ptnsbc_tools.options import (
     BagArgument,
     JsonOption,
-    OverwriteOption,
     argument,
     flat,
     group,
@@ -30,9 +29,8 @@ if TYPE_CHECKING:
     from ptnsbc_tools.replay.rerun import Rerun
 
 _INTERRUPTED = 130
-_MEGABYTE = 1_000_000
 
-bag = group("Record, replay, show or repair bags.")
+bag = group("Replay, show or repair bags.")
 
 
 @bag.command()
@@ -138,70 +136,6 @@ def repair(
     print(f"{rescued} rescued; {'; '.join(lost) or 'nothing was missing'}")
     print(f"bag: {made.bag}")
     print(f"original: {made.original or 'discarded'}")
-
-
-@bag.command()
-def record(
-    output: Annotated[
-        Path | None, option("--output -o DIR", "Folder of the bag. Default: bag-<time>.")
-    ] = None,
-    topics: Annotated[
-        list[str] | None,
-        option(
-            "--topics PATTERN", "Names with * and ?, repeatable. Default: all topics of a flight."
-        ),
-    ] = None,
-    scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "Scenario that is flown, to attach to the bag.")
-    ] = None,
-    split_size: Annotated[
-        float | None, option("--split-size MB", "Start another file at this size.", 1.0, LARGEST_MB)
-    ] = None,
-    split_duration: Annotated[
-        float | None,
-        option("--split-duration S", "Start another file after so long.", 0.1, LONGEST_S),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        option("--duration S", "Stop after so long. Default: at Ctrl-C.", 0.1, LONGEST_S),
-    ] = None,
-    overwrite: OverwriteOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Record topics of a running fleet, with the quality of service of their publishers.
-
-    Ctrl-C completes the bag. Topics that appear later are recorded from then on.
-    """
-    with ros.required():
-        from ptnsbc_io.bag import BagWriter, SplitLimits
-        from ptnsbc_nodes.recording import recorder
-        from ptnsbc_nodes.runtime.provenance import provenance
-    about, attachments = {"mode": "beside", **provenance()}, dict[str, bytes]()
-    if scenario is not None:
-        from ptnsbc_sim.scenario import load_scenario
-        from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
-
-        flown = load_scenario(scenario)
-        attachments[SCENARIO_ATTACHMENT] = flown.text.encode()
-        about["scenario"] = flown.name
-    writer = BagWriter(
-        output or Path(f"bag-{datetime.now():%Y%m%d-%H%M%S}"),
-        [],
-        attachments=attachments,
-        metadata=about,
-        overwrite=overwrite,
-        limits=SplitLimits(
-            None if split_size is None else round(split_size * _MEGABYTE),
-            None if split_duration is None else round(split_duration * 1e9),
-        ),
-    )
-    done = recorder.record(writer, topics or recorder.OURS, console.say, duration)
-    if json:
-        console.print_json(done)
-        return
-    for name, count in done["topics"].items():
-        print(f"{count:8d}  {name}")
-    print(f"{done['messages']} messages: {done['bag']}")
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,11 +10,7 @@ import typer
 
 from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_tools import console, ros
-from ptnsbc_tools.options import (
-    argument,
-    group,
-    option,
-)
+from ptnsbc_tools.options import argument, group, option
 
 _OutputOption = Annotated[
     Path | None, option("--output -o FILE", "Write into this file and not to stdout.")
@@ -70,9 +63,6 @@ def key(
     console.say(f"key: {path}")
 
 
-_SERVER = "fast-discovery-server"
-
-
 @network.command()
 def peers(
     hosts: Annotated[
@@ -89,44 +79,6 @@ def peers(
     """Write a profile that names every computer: no server, no multicast. All computers use the same file."""
     listed = [] if hosts_file is None else _hosts(hosts_file)
     _write_profile(dds_profiles.static_peers([*(hosts or ()), *listed], processes), output)
-
-
-@network.command()
-def server(
-    addresses: Annotated[
-        list[str], argument("ADDRESS[:PORT]...", "Address of each discovery server.")
-    ],
-    everything: Annotated[
-        bool, option("--everything", "Discover all topics, for `ros2 topic list` and viewers.")
-    ] = False,
-    output: _OutputOption = None,
-) -> None:
-    """Write a profile for a discovery server: few packets, and computers may join and leave."""
-    servers = [dds_profiles.server(address) for address in addresses]
-    _write_profile(dds_profiles.discovery_client(servers, everything=everything), output)
-
-
-@network.command()
-def serve(
-    address: Annotated[str, argument("ADDRESS[:PORT]", "Address of this host on which to listen.")],
-    number: Annotated[int, option("--id", "Its number in the list of servers.", 0, 255)] = 0,
-) -> None:
-    """Run a Fast DDS discovery server until Ctrl-C."""
-    from ptnsbc_nodes.runtime import environment
-
-    environment.prepare()
-    at = dds_profiles.server(address)
-    installed = Path(sys.executable).parent / _SERVER  # by the wheels; apt installs it on the path
-    program = str(installed) if installed.exists() else shutil.which(_SERVER)
-    if program is None:
-        raise dds_profiles.NetworkError(
-            f"{_SERVER} is not installed: install the extra [ros] or source ROS 2"
-        )
-    # Without our profile, with which the server would be a client of itself.
-    ours = ("ROS_DISCOVERY_SERVER", *environment.PROFILES)
-    settings = {key: value for key, value in os.environ.items() if key not in ours}
-    words = [program, "-i", str(number), "-l", at.address, "-p", str(at.port)]
-    os.execve(program, words, settings)
 
 
 def _hosts(file: Path) -> list[str]:

@@ -176,7 +176,7 @@ def test_every_command_has_its_options():
     assert {"check", "simulate", "fleet", "bag-repair"} <= set(made)
     assert "| `--set` | `KEY=VALUE` | |" in made["simulate"]
     assert "| `--lockstep`, `--real-time` | | `--real-time` |" in made["fleet"]
-    assert "| `--output`, `-o` | `DIR` |" in made["bag-record"]
+    assert "| `--output`, `-o` | `DIR` |" in made["bag-repair"]
     assert "| `--type` | `px4`, `ardupilot`, `generic` |" in made["autopilot"]
     assert "`ptnsbc bridge [SCENARIO] [OPTIONS]`" in made["bridge"]
     assert "| `--uav` | `N` | **required** |" in made["bridge"]

@@ -24,9 +24,6 @@ READERS = (
 )
 TIMED = (
     *((*words, option) for words in READERS for option in ("--window", "--epoch")),
-    ("bag", "record", "-o", "OUT", "--duration"),
-    ("bag", "record", "-o", "OUT", "--split-duration"),
-    ("bag", "record", "-o", "OUT", "--split-size"),
     ("bag", "replay", SAMPLE, "--publish", "--start"),
     ("bag", "replay", SAMPLE, "--publish", "--wait"),
     ("bag", "replay", SAMPLE, "--publish", "--clock"),

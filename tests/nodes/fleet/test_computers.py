@@ -1,7 +1,10 @@
-"""A fleet on two and three computers (network namespaces), with the profiles that `ptnsbc network` writes."""
+"""A fleet on two and three computers (network namespaces), with a profile of `ptnsbc network` or a discovery server."""
 
 import json
-import signal
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import namespaces
@@ -18,6 +21,9 @@ pytestmark = [
 # State and wrench of a simulated vehicle travel too, which a real one keeps on board: with a fifth of them lost the
 # attitude loop of the quadrotor has little to spare (docs/fleet.md), the paper's plant has.
 PLANT = ("--plant", "rigid_body_6dof")
+SERVER = shutil.which(
+    "fast-discovery-server", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+)
 THREE = (str(Path(__file__).resolve().parents[3] / "examples" / "three.yaml"), *PLANT)
 
 
@@ -29,10 +35,12 @@ def profile(ground, tmp_path, *words):
     return file
 
 
-def fly(flight, parts, domain, *words):
+def fly(flight, parts, domain, *words, **settings):
     """Each computer with its processes; the last one leads. Exit code and what was said, in the same order."""
     running = [
-        computer.ptnsbc("fleet", *flight, "--json", "--domain", domain, *words, "--only", only)
+        computer.ptnsbc(
+            "fleet", *flight, "--json", "--domain", domain, *words, "--only", only, **settings
+        )
         for computer, only in parts
     ]
     try:
@@ -64,12 +72,14 @@ def test_with_static_peers_and_a_fifth_of_the_packets_lost_the_fleet_forms_by_it
 def test_through_a_discovery_server_every_flight_begins(domain, tmp_path):
     """A server leaves a process out in one of eight starts; the launcher starts that one again."""
     with namespaces.computers(3, 20) as (ground, second, third):
-        file = profile(ground, tmp_path, "server", ground.address)
-        server = ground.ptnsbc("network", "serve", ground.address)
+        server = subprocess.Popen(ground.inside(str(SERVER), "-i", "0", "-l", ground.address))
+        settings = {
+            "ROS_DISCOVERY_SERVER": ground.address,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        }
         parts = [(second, "2"), (third, "3"), (ground, "recorder,sim,1")]
-        ends = fly(THREE, parts, domain, "--duration", 2, "--network", file)
-        server.send_signal(signal.SIGINT)
-        namespaces.finished(server)
+        ends = fly(THREE, parts, domain, "--duration", 2, **settings)
+        server.kill()
     codes, told = [end[0] for end in ends], [json.loads(end[1]) for end in ends]
     assert codes == [0, 0, 1], ends  # two seconds are too short for the deadline
     assert [one["fleet"]["died"] for one in told] == [[], [], []]

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from ptnsbc_nodes.runtime import dds_profiles, environment
-from ptnsbc_nodes.runtime.dds_profiles import NetworkError, Server
+from ptnsbc_nodes.runtime.dds_profiles import NetworkError
 
 TAG = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
 
@@ -32,27 +32,11 @@ def test_peers_are_looked_for_and_heard_and_nobody_else():
     assert texts(profile, "maxInitialPeersRange") == ["12"]
 
 
-def test_a_client_knows_its_servers_in_the_order_of_their_ids():
-    profile = dds_profiles.discovery_client([Server("10.0.0.1"), Server("10.0.0.2", 11900)])
-    locator = ("RemoteServer", "metatrafficUnicastLocatorList", "locator", "udpv4")
-    assert texts(profile, *locator, "address") == ["10.0.0.1", "10.0.0.2"]
-    assert texts(profile, *locator, "port") == ["11811", "11900"]
-    prefixes = [e.get("prefix") for e in ElementTree.fromstring(profile).iter(f"{TAG}RemoteServer")]
-    assert prefixes == [
-        "44.53.00.5f.45.50.52.4f.53.49.4d.41",
-        "44.53.01.5f.45.50.52.4f.53.49.4d.41",
-    ]
-    assert texts(profile, "discoveryProtocol") == ["CLIENT"]
-    seeing = dds_profiles.discovery_client([Server("10.0.0.1")], everything=True)
-    assert texts(seeing, "discoveryProtocol") == ["SUPER_CLIENT"]
-
-
 @pytest.mark.parametrize(
     "profile",
     [
         dds_profiles.localhost(3),
         dds_profiles.static_peers(["10.0.0.7"]),
-        dds_profiles.discovery_client([Server("10.0.0.1")]),
     ],
 )
 def test_profiles_fit_the_schema_of_fast_dds(profile):
@@ -81,19 +65,11 @@ def test_profiles_fit_the_schema_of_fast_dds(profile):
             lambda: dds_profiles.static_peers(["nowhere.invalid"]),
             "'nowhere.invalid': .*IPv4 address",
         ),
-        (lambda: dds_profiles.discovery_client([]), "no server named"),
-        (lambda: dds_profiles.server("10.0.0.1:0"), "10.0.0.1:0: expected a port from 1 to 65535"),
-        (lambda: dds_profiles.server("10.0.0.1:x"), "10.0.0.1:x: expected a port from 1 to 65535"),
     ],
 )
 def test_what_cannot_be_reached_is_refused(call, words):
     with pytest.raises(NetworkError, match=words):
         call()
-
-
-def test_a_server_listens_where_they_usually_do():
-    assert dds_profiles.server("10.0.0.1") == Server("10.0.0.1", 11811)
-    assert dds_profiles.server("10.0.0.1:4242") == Server("10.0.0.1", 4242)
 
 
 def test_names_are_resolved():

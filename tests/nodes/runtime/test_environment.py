@@ -124,6 +124,11 @@ def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
         ("RMW_IMPLEMENTATION", "rmw_of_nobody", "no such middleware"),
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", "would not find each other"),
         ("ROS_DISCOVERY_SERVER", "127.0.0.1:1", "nobody listens there"),
+        (
+            "ROS_DISCOVERY_SERVER",
+            "127.0.0.1:x;no.host.of.this.name.invalid",
+            "nobody listens there",
+        ),
         ("ROS_STATIC_PEERS", "127.0.0.1;no.host.of.this.name.invalid", "is no known host"),
     ],
 )

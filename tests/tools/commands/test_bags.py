@@ -83,7 +83,11 @@ def contents(path: Path, *left_out: str) -> dict[str, list[bytes]]:
 
 @pytest.mark.slow
 def test_played_and_recorded_again(start, headless, tmp_path):
-    recorder = start("bag", "record", "-o", tmp_path / "again", "--scenario", "paper_5", "--json")
+    old, again = read_bag(headless), tmp_path / "again"
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_bytes(old.attachment("scenario.yaml"))
+    recorder = start("network", "node", "recorder", "--bag", again, "--uavs", *range(1, 6), "--attach",
+                     f"scenario.yaml={scenario}")  # fmt: skip
     await_line(recorder, "ready")
     played = start("bag", "replay", headless, "--publish", "--wait", 60, "--rate", 0.5, "--json")
     out, err = played.communicate(timeout=120)
@@ -91,30 +95,22 @@ def test_played_and_recorded_again(start, headless, tmp_path):
     recorder.send_signal(signal.SIGINT)
     told, err = recorder.communicate(timeout=60)
     assert recorder.returncode == 0, err
-    assert contents(tmp_path / "again") == contents(headless)
+    assert contents(again, "/tf") == contents(headless, "/tf")
     counts = json.loads(told)["topics"]
     made = 0 if topics.tf_is_available() else counts["/tf"]  # of odometry, by the recorder
     assert json.loads(out)["messages"] == sum(counts.values()) - made
-    old, new = read_bag(headless), read_bag(tmp_path / "again")
-    assert {t.name: t.type for t in new.topics.values()} == {
-        t.name: t.type for t in old.topics.values()
-    }
-    assert new.metadata["scenario"] == "paper_5"
+    new = read_bag(again)
     # Twice as slow, and paced: the middle message came in the middle.
     assert (new.end_ns - new.start_ns) * 1e-9 >= 2 * 1.4
     # And what was heard can be run again: it is the same flight.
-    scenario = tmp_path / "scenario.yaml"
-    scenario.write_bytes(old.attachment("scenario.yaml"))
-    again = start("bag", "replay", tmp_path / "again", "--rerun", "--scenario", scenario)
-    assert again.wait(120) == 0, again.stdout.read()
+    rerun = start("bag", "replay", again, "--rerun", "--scenario", scenario)
+    assert rerun.wait(120) == 0, rerun.stdout.read()
 
 
 @pytest.mark.slow
-def test_split_recording_of_some_topics(start, headless, tmp_path):
-    recorder = start(
-        "bag", "record", "-o", tmp_path / "part", "--topics", "/uav1/*", "--topics", "/clock",
-        "--split-duration", 0.4,
-    )  # fmt: skip
+def test_some_topics_are_played_with_a_clock(start, headless, tmp_path):
+    part = tmp_path / "part"
+    recorder = start("network", "node", "recorder", "--bag", part, "--uavs", 1)
     await_line(recorder, "ready")
     played = start("bag", "replay", headless, "--publish", "--wait", 60, "--topics", "/uav1/setpoint/*",
                    "--clock", 100, "--start", 0.5)  # fmt: skip
@@ -122,13 +118,10 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
     recorder.send_signal(signal.SIGTERM)
     out, err = recorder.communicate(timeout=60)
     assert recorder.returncode == 0, err
-    *topics_told, total = out.splitlines()
-    counts = {name: int(count) for count, name in map(str.split, topics_told)}
-    assert sorted(counts) == ["/clock", "/uav1/setpoint/velocity", "/uav1/setpoint/wrench"]
-    assert counts["/uav1/setpoint/wrench"] == 100
-    assert total == f"{sum(counts.values())} messages: {tmp_path / 'part'}"
-    assert len(list((tmp_path / "part").glob("*.mcap"))) >= 2
-    heard = contents(tmp_path / "part")
+    counts = {name: count for name, count in json.loads(out)["topics"].items() if count}
+    print(counts)
+    assert set(counts) == {"/clock", "/uav1/setpoint/velocity", "/uav1/setpoint/wrench"}
+    heard = contents(part)
     assert len(heard["/uav1/setpoint/wrench"]) == 100
     clock = [peek_stamp(data) for data in heard["/clock"]]
     assert clock == sorted(clock)
@@ -137,9 +130,7 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
-    recorder = start("bag", "record", "-o", headless.parent / "none", "--topics", "/nothing/*")
     played = start("bag", "replay", headless, "--publish", "--loop", "--wait", 0, "--json")
-    await_line(recorder, "ready")
     end = time.monotonic() + 60.0
     with observer(domain) as node:
         while not node.count_publishers("/uav1/odom"):
@@ -147,12 +138,10 @@ def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
             time.sleep(
                 0.05
             )  # between two looks at the graph: the observer has no executor to wait in
-    for process, code in ((played, 130), (recorder, 2)):
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-        assert process.returncode == code, err
-        assert "Traceback" not in err
-    assert "no message on /nothing/*" in err
+    played.send_signal(signal.SIGINT)
+    _, err = played.communicate(timeout=60)
+    assert played.returncode == 130, err
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(

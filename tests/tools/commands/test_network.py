@@ -33,16 +33,6 @@ def test_hosts_may_come_from_a_file(ptnsbc, tmp_path):
     assert found.stdout == dds_profiles.static_peers(["10.0.0.7", "10.0.0.8"]) + "\n"
 
 
-def test_clients_of_a_server(ptnsbc):
-    servers = [dds_profiles.server("10.0.0.1"), dds_profiles.server("10.0.0.2:4242")]
-    assert (
-        ptnsbc("server", "10.0.0.1", "10.0.0.2:4242").stdout
-        == dds_profiles.discovery_client(servers) + "\n"
-    )
-    everything = dds_profiles.discovery_client(servers, everything=True)
-    assert ptnsbc("server", "--everything", "10.0.0.1", "10.0.0.2:4242").stdout == everything + "\n"
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -52,7 +42,6 @@ def test_clients_of_a_server(ptnsbc):
             ("peers", "10.0.0.1", "-o", "/nowhere/x.xml"),
             "/nowhere/x.xml: cannot be written: No such file",
         ),
-        (("server", "10.0.0.1:99999"), "expected a port"),
     ],
 )
 def test_refusals_are_one_line(ptnsbc, arguments, words):

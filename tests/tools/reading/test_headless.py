@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_io.bag import BagWriter, SplitLimits, declare, read_bag
+from ptnsbc_io.bag import BagWriter, declare, read_bag
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.wire import decode_integers
 from ptnsbc_nodes.uav.step_log import tick_note
@@ -21,10 +21,13 @@ import doctor
 def split(source: Path, path: Path) -> Path:
     bag = read_bag(source)
     infos = [declare(topic.name, topic.type) for topic in bag.topics.values()]
-    limits = SplitLimits(duration_ns=400_000_000)
     attachments = {name: bag.attachment(name) for name in bag.attachments}
-    with BagWriter(path, infos, limits=limits, attachments=attachments) as writer:
+    with BagWriter(path, infos, attachments=attachments) as writer:
+        split_ns = 0
         for message in bag.messages():
+            if message.stamp_ns >= split_ns:
+                writer.split()
+                split_ns = message.stamp_ns + 400_000_000
             writer.write(*message)
     return path
 
