@@ -70,22 +70,23 @@ from ptnsbc_core.machine_code import (
 FOLDER = kernel_folder()
 
 
-class _Part(JITCodeLibrary):
-    """The code of a kernel that only kernels call: neither optimised nor emitted."""
+class _Library(JITCodeLibrary):
+    """The code of a kernel, whose functions are not optimised on their own."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
+
+
+class _Part(_Library):
+    """The code of a kernel that only kernels call: neither optimised nor emitted."""
 
     def finalize(self) -> None:
         self._raise_if_finalized()
         self._finalized = True
 
 
-class _Whole(JITCodeLibrary):
+class _Whole(_Library):
     """The code of a kernel that Python calls, with all of its parts; optimised once, as a whole."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
@@ -458,13 +459,18 @@ def reference(law: Callable[..., Any]) -> None:
     vars(law)["_numba_type_"] = types.Function(ByReference)
 
 
+_POINTERS: dict[tuple[Any, ...], Any] = {}
+
+
 @typeof_impl.register(RecordList)
 @typeof_impl.register(Referred)
 def _typeof(value: Any, _: Any) -> Any:
-    kinds = vars(value)
+    kinds, key = vars(value), (type(value), value.kind)
     if "type" not in kinds:  # each call of a kernel asks
-        pointer = Pointer if isinstance(value, Referred) else Records
-        kinds["type"] = pointer(numba.typeof(value.example))
+        if key not in _POINTERS:
+            pointer = Pointer if isinstance(value, Referred) else Records
+            _POINTERS[key] = pointer(numba.typeof(value.example))
+        kinds["type"] = _POINTERS[key]
     return kinds["type"]
 
 

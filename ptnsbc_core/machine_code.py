@@ -49,17 +49,28 @@ def _parts(kind: Any) -> tuple[Any, ...] | None:
     return kind[1:] if is_tuple else None
 
 
+class _Layout(NamedTuple):
+    """A value in memory, as numba's models have it."""
+
+    codes: str  # of `struct`, with what is left empty
+    align: int
+    numbers: struct.Struct
+
+
 @cache
-def _layout(kind: Any) -> Any:
-    """The C type of a value in memory, as numba's models have it."""
-    parts = _parts(kind)
+def _layout(kind: Any) -> _Layout:
+    parts, codes, align = _parts(kind), "", 1
     if parts is not None:
-        fields = [(f"f{k}", _layout(part)) for k, part in enumerate(parts)]
-        return type("Layout", (ctypes.Structure,), {"_fields_": fields})
-    if isinstance(kind, tuple) and kind[0] is np.ndarray:
-        return ctypes.c_int64 * (5 + 2 * kind[2])
-    numbers = {bool: ctypes.c_bool, float: ctypes.c_double, int: ctypes.c_int64}
-    return numbers.get(kind, ctypes.c_void_p)
+        for part in map(_layout, parts):
+            codes += f"{-struct.calcsize('=' + codes) % part.align}x{part.codes}"
+            align = max(align, part.align)
+        codes += f"{-struct.calcsize('=' + codes) % align}x"
+    elif isinstance(kind, tuple) and kind[0] is np.ndarray:
+        codes, align = f"{5 + 2 * kind[2]}q", 8
+    else:
+        codes = {bool: "?", float: "d"}.get(kind, "q")
+        align = struct.calcsize("=" + codes)
+    return _Layout(codes, align, struct.Struct("=" + codes))
 
 
 def _of_array(array: Any) -> tuple[int, ...]:
@@ -67,25 +78,32 @@ def _of_array(array: Any) -> tuple[int, ...]:
     return 0, 0, array.size, array.itemsize, array.ctypes.data, *array.shape, *array.strides
 
 
-def _packed(kind: Any, value: Any, kept: Callable[[Any], Any]) -> Any:
-    """A value for its layout; `kept` gives the array that stands for an array."""
-    parts = _parts(kind)
-    if parts is not None:
-        pairs = zip(parts, value, strict=True)
-        return _layout(kind)(*(_packed(part, inner, kept) for part, inner in pairs))
-    if isinstance(value, np.ndarray):
-        return _layout(kind)(*_of_array(kept(value)))
-    return kept(value).address if isinstance(value, RecordList) else value
+def _flat(value: Any, kept: Callable[[Any], Any], numbers: list[Any]) -> list[Any]:
+    """Append the numbers of a value for its layout; `kept` gives the array that stands for an array."""
+    for part in value:
+        if isinstance(part, tuple):
+            _flat(part, kept, numbers)
+        elif isinstance(part, np.ndarray):
+            numbers += _of_array(kept(part))
+        elif isinstance(part, RecordList):
+            numbers.append(kept(part).address)
+        else:
+            numbers.append(0 if part is None else part)
+    return numbers
 
 
-def _unpacked(kind: Any, value: Any, arrays: Iterator[Any]) -> Any:
-    """The value in a layout."""
+def _read(kind: Any, numbers: Iterator[Any], arrays: Iterator[Any]) -> Any:
+    """The value of the numbers in a layout."""
     parts = _parts(kind)
     if parts is not None:
-        fields = (getattr(value, name) for name, _ in value._fields_)
-        found = [_unpacked(part, field, arrays) for part, field in zip(parts, fields, strict=True)]
+        found = [_read(part, numbers, arrays) for part in parts]
         return kind[0](*found) if hasattr(kind[0], "_fields") else tuple(found)
-    return next(arrays) if isinstance(kind, tuple) else value
+    if not isinstance(kind, tuple):
+        number = next(numbers)
+        return None if kind is type(None) else number
+    for _ in range(5 + 2 * kind[2] if kind[0] is np.ndarray else 1):
+        next(numbers)
+    return next(arrays)
 
 
 class RecordList:
@@ -97,16 +115,18 @@ class RecordList:
     def __init__(self, items: Sequence[Any]) -> None:
         self.example, self.kind = items[0], kind_of(items[0])
         self._arrays: list[list[Any]] = [[] for _ in items]
-        self._block = (_layout(self.kind) * len(items))()
+        self._numbers = _layout(self.kind).numbers
+        self._block = np.zeros((len(items), self._numbers.size), dtype=np.uint8)
         for row, item in enumerate(items):
-            self._block[row] = _packed(self.kind, item, partial(_keep, self._arrays[row]))
-        self.address = ctypes.addressof(self._block)
+            self._write(row, item, partial(_keep, self._arrays[row]))
+        self.address = self._block.ctypes.data
 
     def __len__(self) -> int:
         return len(self._block)
 
     def __getitem__(self, row: int) -> Any:
-        return _unpacked(self.kind, self._block[row], iter(self._arrays[row]))
+        numbers = iter(self._numbers.unpack_from(self._block[row]))
+        return _read(self.kind, numbers, iter(self._arrays[row]))
 
     def __reduce__(self) -> Any:
         return type(self), (
@@ -114,8 +134,10 @@ class RecordList:
         )  # the addresses in the block are those of these arrays
 
     def __setitem__(self, row: int, item: Any) -> None:
-        copied = partial(_copy, iter(self._arrays[row]))
-        self._block[row] = _packed(self.kind, item, copied)
+        self._write(row, item, partial(_copy, iter(self._arrays[row])))
+
+    def _write(self, row: int, item: Any, kept: Callable[[Any], Any]) -> None:
+        self._numbers.pack_into(self._block[row].data, 0, *_flat(item, kept, []))
 
 
 def _keep(arrays: list[Any], array: Any) -> Any:
@@ -180,15 +202,7 @@ class Entry:
 
 def _words(argument: Any) -> Sequence[float]:
     """The words by which a kernel takes an argument."""
-    if isinstance(argument, float):
-        return (argument,)
-    if isinstance(argument, np.ndarray):
-        return _of_array(argument)
-    if isinstance(argument, RecordList):
-        return (argument.address,)
-    if isinstance(argument, tuple):
-        return [word for part in argument for word in _words(part)]
-    return (int(argument or 0),)
+    return _flat((argument,), lambda array: array, [])
 
 
 # Machine code --------------------------------------------------------------------------------------------------------

@@ -6,16 +6,16 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableSequence
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.kernel import kernel_list, referred
+from ptnsbc_core.kernel import kernel, kernel_list, referred
 from ptnsbc_core.step import initial_state
-from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, Array
+from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, AgentState, Array
 from ptnsbc_sim.disturbances.build import Disturbances, VehicleDisturbances, flight_disturbances
 from ptnsbc_sim.disturbances.links import last_received_by
 from ptnsbc_sim.plants.build import plant_config, start_states
@@ -65,6 +65,15 @@ class HeadlessFlight(NamedTuple):
         return sensors.near(row, tick, self.truth[tick], seen, obstacles, keep_outs)
 
 
+@kernel
+def _begin(
+    seen: Array, configs: Sequence[AgentConfig], states: MutableSequence[AgentState]
+) -> None:
+    """The states before the first tick of UAVs that see these odometry vectors (N, 13)."""
+    for row in range(seen.shape[0]):
+        states[row] = initial_state(seen[row], configs[row])
+
+
 def swarm_of(
     scenario: Scenario,
     wiring: Wiring,
@@ -72,14 +81,9 @@ def swarm_of(
     disturbances: Disturbances | None,
     like: SwarmState | None = None,
 ) -> SwarmState:
-    """The UAVs of a scenario before the first tick; `like` has the constants of those that differ in starts only."""
+    """The UAVs of a scenario before the first tick; `like`: those of others that differ in starts only, to fly anew."""
     ids = scenario.uav_ids
-    configs: MutableSequence[AgentConfig]
     plants: MutableSequence[PlantConfig]
-    if like is None:
-        configs = kernel_list([agent_config(scenario, uav_id) for uav_id in ids])
-    else:
-        configs = like.configs
     if like is None or disturbances is not None:  # gusts are written into the wind of a plant
         plants = kernel_list([plant_config(scenario, uav_id) for uav_id in ids])
     else:
@@ -90,6 +94,13 @@ def swarm_of(
         vehicles = (VehicleDisturbances(scenario, uav_id, np.zeros(3)) for uav_id in ids)
         pairs = zip(vehicles, seen, strict=True)
         seen = np.stack([around.measured_odometry(0, truth) for around, truth in pairs])
+    if like is None:
+        constants = [agent_config(scenario, uav_id) for uav_id in ids]
+        first = [initial_state(own, of) for own, of in zip(seen, constants, strict=True)]
+        configs, states = kernel_list(constants), kernel_list(first)
+    else:
+        configs, states = like.configs, like.states
+        _begin(seen, configs, states)
     size, others = len(ids), len(ids) - 1 + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(
@@ -97,7 +108,7 @@ def swarm_of(
         track,
         configs,
         plants,
-        kernel_list([initial_state(own, configs[row]) for row, own in enumerate(seen)]),
+        states,
         bodies,
         np.zeros((size, others, NEAR_COLUMNS)),
         np.zeros(size, dtype=np.int64),

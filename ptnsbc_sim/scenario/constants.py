@@ -40,6 +40,7 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_sim.plugins.formation_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import leader_motion, turn_of
+from ptnsbc_sim.scenario.fields import kept
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.completion import SHORTEST_ARM_M
 from ptnsbc_sim.scenario.mission.route import shape_of
@@ -121,17 +122,14 @@ def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
     return SeveralParents(tuple(weights), shares, shifts, float(links.stale_s))
 
 
-def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
-    """Slots of these UAVs relative to the leader, and half of the distance to the next one: rows (N, 4) [m], ENU.
-
-    They are in the order of their coordinates, whoever takes which.
-    """
-    slots = {uav_id: scenario.offset(uav_id) for uav_id in scenario.uav_ids}
-    rows = []
-    for uav_id in uav_ids:
-        gaps = [np.linalg.norm(slots[uav_id] - slots[other]) for other in slots if other != uav_id]
-        rows.append([*slots[uav_id].tolist(), 0.5 * float(min(gaps, default=0.0))])
-    return np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
+@kept
+def _slots(scenario: Scenario) -> Array:
+    """Slots of all UAVs relative to the leader, and half of the distance to the next one: rows (N, 4) [m], ENU."""
+    slots = np.array([scenario.offset(uav_id) for uav_id in scenario.uav_ids], dtype=np.float64)
+    ways = slots[:, np.newaxis] - slots
+    squares = np.vecdot(ways, ways)
+    np.fill_diagonal(squares, np.inf if len(slots) > 1 else 0.0)
+    return np.column_stack([slots, 0.5 * np.sqrt(squares.min(axis=1))])
 
 
 def shape_problem(scenario: Scenario, uav_id: int) -> Problem | None:
@@ -189,12 +187,17 @@ def deceleration(scenario: Scenario, uav_id: int) -> float:
     return float(min(limit, sideways, lift, specific - gravity))
 
 
+@kept
+def _weakest(scenario: Scenario) -> float:
+    """The least `deceleration` of all vehicles."""
+    unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
+    return min(deceleration(scenario, uav) for uav in unlike.values())
+
+
 def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     """Constants of the clearance of one UAV."""
     gains = scenario.gains.clearance
     loops, braking = loop_lag_s(scenario), deceleration(scenario, uav_id)
-    unlike = {plant_of(scenario.plant, uav): uav.id for uav in scenario.uavs}
-    unlike.pop(scenario.vehicle(uav_id))
     # In a second deadlock_s any two are a keep-out apart.
     above_m = scenario.formation.uav_keep_out_above_m or scenario.formation.uav_keep_out_m
     number = 1 + scenario.uav_ids.index(uav_id)
@@ -209,7 +212,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         forget_s=float(gains.forget_s),
         approach=APPROACH_SPEEDS[gains.approach],
         deceleration=braking,
-        weakest=min([braking, *(deceleration(scenario, uav) for uav in unlike.values())]),
+        weakest=_weakest(scenario),
         lag_s=float(1.0 / scenario.timing.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
@@ -297,6 +300,8 @@ def _controller(scenario: Scenario, uav_id: int) -> ControllerConfig:
 def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
     """Everything constant that one UAV's control step needs."""
     scenario.uav(uav_id)  # names the ids there are when this is not one
+    slots, row = _slots(scenario), scenario.uav_ids.index(uav_id)
+    others = sorted(np.delete(slots, row, axis=0).tolist())  # whoever takes which
     desired, row_scale = _desired(scenario, uav_id)
     gains, estimator, limits = scenario.gains, scenario.gains.estimator, scenario.gains.filter
     return AgentConfig(
@@ -308,8 +313,8 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         offset=three(_offset_from_parent(scenario, uav_id)),
         slot=three(scenario.offset(uav_id)),
         leader_slot=three(scenario.offset(scenario.leader.id)),
-        slot_reach=float(_slots(scenario, [uav_id])[0, REACH]),
-        other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
+        slot_reach=float(slots[row, REACH]),
+        other_slots=np.array(others, dtype=np.float64).reshape(-1, 4),
         anchor=three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
         formation=gain_of(scenario.gains, gains.formation),

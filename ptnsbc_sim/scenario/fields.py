@@ -6,8 +6,8 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, wraps
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
@@ -160,6 +160,7 @@ def keys_below(block: type[Block]) -> Iterator[str]:
 
 
 _Block = TypeVar("_Block", bound=Block)
+_Result = TypeVar("_Result")
 
 
 def replaced(block: _Block, keys: Mapping[str, Any]) -> _Block:
@@ -171,6 +172,22 @@ def replaced(block: _Block, keys: Mapping[str, Any]) -> _Block:
             value = replaced(changes.get(first, getattr(block, first)), {below: value})
         changes[first] = value
     return block.model_copy(update=changes)
+
+
+def kept(function: Callable[[_Block], _Result]) -> Callable[[_Block], _Result]:
+    """Keep the newest result, as long as it is asked for the same block: all UAVs and the verdict ask for it."""
+    newest: list[tuple[_Block, _Result]] = []
+
+    @wraps(function)
+    def result_for(block: _Block) -> _Result:
+        for known, result in newest:
+            if known is block:
+                return result
+        result = function(block)
+        newest[:] = [(block, result)]
+        return result
+
+    return result_for
 
 
 class Wave(BaseModel):

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +15,16 @@ from ptnsbc_core import machine_code
 from ptnsbc_core.compile_cache import CacheFolder
 from ptnsbc_core.kernel import prepared
 from ptnsbc_core.kinematics import body_rates, move_to_present
-from ptnsbc_core.machine_code import SUPPORTED, Entry, MachineCode, in_memory, linked, load, store
+from ptnsbc_core.machine_code import (
+    SUPPORTED,
+    Entry,
+    MachineCode,
+    RecordList,
+    in_memory,
+    linked,
+    load,
+    store,
+)
 
 if not SUPPORTED:
     pytest.skip("the machine code of this computer is not linked here", allow_module_level=True)
@@ -59,6 +69,25 @@ print(sorted({"numba", "llvmlite"} & set(sys.modules)))
         for _ in range(2)
     ]
     assert outputs[1] == "[]\n"
+
+
+class Mixed(NamedTuple):
+    known: bool
+    place: tuple[float, tuple[bool, int]]
+    nothing: None
+    table: np.ndarray
+
+
+def test_a_record_reads_as_it_was_written() -> None:
+    item = Mixed(True, (-0.0, (False, 2**40)), None, np.arange(6.0).reshape(2, 3))
+    records = RecordList([item, item._replace(known=False, table=np.ones((2, 3)))])
+    assert [one.known for one in records] == [True, False]
+    assert str(records[0][:3]) == str(item[:3])
+    records[1] = item
+    assert str(records[1]) == str(item)
+    assert records[1].table is not item.table
+    with pytest.raises(ValueError, match=r"array of shape \(3,\): expected \(2, 3\)"):
+        records[0] = item._replace(table=np.ones(3))
 
 
 def test_a_law_that_raises_is_a_python_error() -> None:

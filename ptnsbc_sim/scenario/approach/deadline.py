@@ -28,6 +28,7 @@ from ptnsbc_sim.scenario.approach.path import (
     pairs_of,
     shortest_below,
 )
+from ptnsbc_sim.scenario.fields import kept
 from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.route import places_beside_leader, shape_of
@@ -217,22 +218,16 @@ def _candidates(places: bytes, errors: bytes, clear: bytes) -> tuple[float, ...]
     return candidates(Pairs(ends, ways, np.frombuffer(clear)))
 
 
-_newest: list[tuple[ScenarioFile, float]] = []  # a flight and its verdict ask for the same turn
-
-
+@kept
 def turn_of(file: ScenarioFile) -> float:
     """The turn of the planned approach [rad]: that of the scenario, or the first open one that its deadline allows."""
     if file.formation.turn_rad is not None:
         return float(file.formation.turn_rad)
-    for known, turn in _newest:
-        if known is file:
-            return turn
     turns, allowed = _open_turns(file), 0.0
     if len(turns) > 1 and min(limits := limits_left(file)) > 0.0:
         starts, deadline_s = starts_of(file), float(file.gains.formation.deadline_s)
         longest = ((turn, max(_bounds(file, starts, limits, turn).values())) for turn in turns)
         allowed = next((turn for turn, need in longest if _RESERVE * need <= deadline_s), 0.0)
-    _newest[:] = [(file, allowed)]
     return allowed
 
 
