@@ -58,7 +58,7 @@ def stand_ins(
     *,
     gnss: str = "rtk",
     seed: int = 1,
-    parameters: Sequence[str] = ("COM_OF_LOSS_T=5",),
+    parameters: Sequence[str] = ("COM_OF_LOSS_T=5", "COM_OBL_RC_ACT=5"),
 ) -> Iterator[Running]:
     """Four stand-ins that wait for their bridges, with these parameters of their firmware."""
     words = (
