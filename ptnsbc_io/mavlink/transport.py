@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -26,6 +27,10 @@ _UNANSWERED_MS = 3000  # then a connection has ended
 
 class ConnectError(PtnsbcError):
     """A link cannot be opened."""
+
+
+class PortTakenError(ConnectError):
+    """Another process listens at the port of a link."""
 
 
 class Packet(NamedTuple):
@@ -77,7 +82,8 @@ class _UdpSocket(Transport):
                 self._port.connect((host, port))
         except OSError as error:
             self._port.close()
-            raise ConnectError(
+            taken = error.errno == errno.EADDRINUSE
+            raise (PortTakenError if taken else ConnectError)(
                 f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
                 "does another bridge or ground station listen there?"
                 if listens

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-from ptnsbc_io.mavlink.transport import connect
+from ptnsbc_io.mavlink.transport import PortTakenError, connect
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, ON_GROUND_M, Placement
@@ -36,14 +38,33 @@ WANTED_MESSAGES = frozenset(
 )
 """Ids of the messages that a bridge decodes."""
 _DUPLICATE_S = 3.0
+_PORT_AGAIN_S = 0.05
 _LEAST_AGES_S = 0.8  # the procedure waits for fresh setpoints for 1 s
 _APART_M = 0.4  # from the height of its layer
 
 
-def open_link(settings: VehicleLink, key: str) -> MavlinkLink:
-    """The link to a vehicle; `key`: path of the key file for signing, empty without one."""
+def open_link(
+    settings: VehicleLink, key: str, over: Callable[[], bool], taken_s: float = 12.0
+) -> MavlinkLink:
+    """The link to a vehicle; `key`: path of the key file for signing, empty without one.
+
+    A port that is taken is waited for, unless the process is `over`: `ptnsbc stop`, with its patience of 10 s, holds
+    that of a bridge that died.
+
+    Raises:
+        PtnsbcError: the link cannot be opened.
+    """
     signer = Signer(read_key(Path(key))) if key else None
-    return MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
+    until_s = time.monotonic() + taken_s
+    while True:
+        try:
+            transport = connect(settings.connect)
+        except PortTakenError:
+            if over() or time.monotonic() >= until_s:
+                raise
+            time.sleep(_PORT_AGAIN_S)
+        else:
+            return MavlinkLink(transport, settings.sysid, WANTED_MESSAGES, signer)
 
 
 class Bridge:

@@ -88,7 +88,7 @@ def serve_bridge(
     with ros_context(argv), ros_node("bridge", f"/uav{uav}", scenario) as node:
         if not environment.prefer_punctuality():
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
-        link = open_ros_link(node, scenario, uav) or open_link(settings, key)
+        link = open_ros_link(node, scenario, uav) or open_link(settings, key, lambda: lifetime.over)
         options = BridgeOptions(allow_arming, with_fleet, key)
         bridge = BridgeNode(node, scenario, uav, edges, link, options, lifetime.end)
         lifetime.bridge = bridge
