@@ -306,11 +306,13 @@ ANSWERS = (
         "the vehicle, by the silence; the bridge, by its own clock",
         "as the vehicle is set",
         _STOP,
-        "the failsafe of the vehicle acts; a bridge that goes on says that it stood still; exit code 1",
+        "the failsafe of the vehicle acts; a bridge that goes on says that it stood still; the launcher kills one that "
+        f"stands still for {ENDED_S:g} s, and starts another; exit code 1",
         f"when it goes on and setpoints have been fresh for {RECOVERED_S:g} s",
         (
             f"{_BRIDGE}procedure/test_procedure_in_flight.py::test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller",
             f"{_BRIDGE}test_bridge.py::test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe",
+            "tests/nodes/fleet/test_supervisor.py::test_a_bridge_that_stands_still_is_ended_after_10_s",
         ),
     ),
     FaultAnswer(

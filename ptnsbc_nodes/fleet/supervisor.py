@@ -3,6 +3,7 @@
 - A UAV's process or its bridge ends: it is named, no process waits for it any longer, the others fly on.
 - A bridge dies and leaves its vehicle in flight: another one takes it over.
 - The recorder ends: the flight goes on without it.
+- A bridge stands still for 10 s: it is killed, and the rule above holds.
 - The sim ends, or the last UAV: nothing is left to fly, and the flight ends.
 - A process for which a lock-step flight waits in vain, or a sim without a sign of life, is killed: the rules above.
 - The launcher that leads is gone: simulated vehicles end, real ones fly on, for their operator decides.
@@ -20,7 +21,7 @@ from importlib import import_module
 
 from ptnsbc_nodes.bridge.procedure.steps import OVER
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency import in_pilots_hands, latched, records, summary
+from ptnsbc_nodes.emergency import in_pilots_hands, latched, record_path, records, summary
 from ptnsbc_nodes.fleet.child_process import BRIDGE, UAV, ChildProcess, end, fault_lines
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
@@ -38,6 +39,25 @@ _GIVEN_UP = {step.value for step in OVER}
 _MOST_BRIDGES = 3  # that take over one vehicle, one after the other
 
 
+class SilenceWatch:
+    """Ends processes that give no sign of life."""
+
+    def __init__(self, progress: Report) -> None:
+        self._progress = progress
+        self._signs: dict[int, tuple[object, int]] = {}
+        """By pid the newest sign, and for how many looks it has been the newest."""
+
+    def look(self, child: ChildProcess, sign: object, limit_s: float) -> None:
+        """End a process whose sign has stayed the same for `limit_s`."""
+        # Looks are counted, not seconds: while the launcher itself is suspended it hears nothing.
+        last, looks = self._signs.get(child.pid, (sign, -1))
+        looks = looks + 1 if sign == last else 0
+        self._signs[child.pid] = sign, looks
+        if looks * _LOOK_S >= limit_s:
+            self._progress(f"{child.name} (pid {child.pid}) gives no sign of life: it is ended")
+            child.send(signal.SIGKILL)
+
+
 class Supervisor:
     """Watches the processes of this computer in flight, and ends them."""
 
@@ -50,8 +70,7 @@ class Supervisor:
         self._faults = faults
         self._reported: set[str] = set()  # processes whose end has been reported
         self._was_led = False
-        self._sim_sign: object = None  # the newest sign of life of the sim
-        self._quiet_looks = 0
+        self._silence = SilenceWatch(self._progress)
 
     def watch(self, duration_s: float) -> None:
         """Return when the sim has flown the whole flight, real vehicles must land, or a signal has come.
@@ -98,6 +117,7 @@ class Supervisor:
         self._crew.pass_on_lines(self._progress)
         self._faults.look(self._crew.children)
         self._end_stuck()
+        self._end_silent_bridges()
         self._report_exits()
 
     def _end_stuck(self) -> None:
@@ -116,15 +136,16 @@ class Supervisor:
     def _end_silent_sim(self) -> None:
         """End a sim that gives no sign of life: no UAV can fly on, and a flight must not wait for ever."""
         for child in self._crew.children:
-            if child.name != SIM or child.exit_code is not None:
-                continue
-            sign = child.log_size, self._node.status.last_s.get(SIM)
-            # Looks are counted, not seconds: while the launcher itself is suspended it hears nothing.
-            self._quiet_looks = self._quiet_looks + 1 if sign == self._sim_sign else 0
-            self._sim_sign = sign
-            if self._quiet_looks * _LOOK_S >= SIM_ENDED_S:
-                self._progress(f"{SIM} (pid {child.pid}) gives no sign of life: it is ended")
-                child.send(signal.SIGKILL)
+            if child.name == SIM and child.exit_code is None:
+                sign = child.log_size, self._node.status.last_s.get(SIM)
+                self._silence.look(child, sign, SIM_ENDED_S)
+
+    def _end_silent_bridges(self) -> None:
+        """End a bridge that writes no record: another one takes its vehicle over, or the launcher lands it."""
+        for child in self._bridges:
+            record = record_path(self._node.folder, child.name)
+            if child.exit_code is None and child.reports.running and record.exists():
+                self._silence.look(child, record.stat().st_mtime_ns, ENDED_S)
 
     def _report_exits(self) -> None:
         """Report every process that has ended before its time; the others fly on without it."""

@@ -16,6 +16,7 @@ from ptnsbc_nodes.emergency import (
     Order,
     VehicleRecord,
     latch,
+    record_path,
     runtime_folder,
     summary,
     write_record,
@@ -27,7 +28,7 @@ from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet_node import LauncherNode
 from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.fleet.takeoff import Launch
-from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -117,6 +118,7 @@ class Child:
     def __init__(self, name, *uavs):
         self.name, self.pid, self.exit_code, self.signals = name, 7, None, []
         self.log_size, self.log, self.fault = 0, Path("logs", f"{name}.log"), ""
+        self.reports = SimpleNamespace(running=False)
         self.command = ProcessCommand(name, "module", (), uavs)
 
     def send(self, number):
@@ -265,6 +267,31 @@ def test_bridges_are_waited_for_240_s_at_most(monkeypatch, tmp_path):
     fleet.supervisor._land()
     assert 240.0 <= fleet.now_s < 241.0
     assert fleet.said == ["not waited for any longer: bridge2, bridge3"]
+
+
+@pytest.mark.ros
+def test_a_bridge_that_stands_still_is_ended_after_10_s(monkeypatch, tmp_path):
+    """Its vehicle hovered for 240 s. A bridge that loads, or waits for its port, has not written a record yet."""
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", "bridge3")
+    still, lands, loads = fleet.bridges
+    lands.pid, loads.pid, ended_s = 8, 9, []
+    for bridge in fleet.bridges:
+        fleet.record(bridge.name)
+        bridge.reports.running = bridge is not loads
+
+    def look():
+        os.utime(record_path(tmp_path, "bridge2"), (fleet.now_s, fleet.now_s))
+        if still.signals and still.exit_code is None:
+            still.exit_code = -9
+            ended_s.append(fleet.now_s)
+
+    fleet.looks.append(look)
+    fleet.end_at(30.0, lands)
+    fleet.end_at(30.0, loads)
+    fleet.supervisor._land()
+    assert (still.signals, lands.signals, loads.signals) == ([signal.SIGKILL], [], [])
+    assert ended_s == [pytest.approx(ENDED_S, abs=0.2)]
+    assert fleet.said[0] == "bridge1 (pid 7) gives no sign of life: it is ended"
 
 
 @pytest.mark.ros
