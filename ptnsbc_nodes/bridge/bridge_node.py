@@ -259,15 +259,10 @@ class BridgeNode:
         self.orders.close()
         self.bridge.link.close()
 
-    @property
-    def begun(self) -> bool:
-        """True if the vehicle has been armed."""
-        return self.bridge.flew
-
     def waiting_for(self) -> list[str]:
         """The things for which the formation waits; empty when it may begin."""
         missing = self.endpoints.unheard()
-        if not self.begun:
+        if not self.bridge.flew:
             missing += self.endpoints.contested()
         if self.bridge.procedure.awaited:
             missing.append(self.bridge.procedure.awaited)

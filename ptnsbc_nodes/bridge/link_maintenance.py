@@ -105,13 +105,9 @@ class LinkMaintenance:
         fast = clock_jumped or self.sync.answers < _FAST_ANSWERS
         if self._is_due("time", now_s, _TIME_FAST_S if fast else _TIME_SLOW_S):
             send(mavlink.MAVLink_timesync_message(0, self.sync.request(now_s)))
+        read, sysid = mavlink.MAVLink_param_request_read_message, self._settings.sysid
         for name in () if self.parameters_read else self._parameters.due(now_s):
-            sysid = self._settings.sysid
-            send(
-                mavlink.MAVLink_param_request_read_message(
-                    sysid, AUTOPILOT_COMPONENT, name.encode(), -1
-                )
-            )
+            send(read(sysid, AUTOPILOT_COMPONENT, name.encode(), -1))
         asking = vehicle.unconfirmed or self.urgent
         if asking and self._is_due("confirmation", now_s, _CONFIRM_S):
             send(self.commands.request(mavlink.MAVLINK_MSG_ID_HEARTBEAT))

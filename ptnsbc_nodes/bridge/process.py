@@ -12,12 +12,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.launcher import launcher_ended
-from ptnsbc_nodes.runtime.node_process import (
-    ProcessLifetime,
-    options_of,
-    ros_context,
-    ros_node,
-)
+from ptnsbc_nodes.runtime.node_process import ProcessLifetime, options_of, ros_context, ros_node
 from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -43,9 +38,8 @@ class _LandingLifetime(ProcessLifetime):
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         before, self._orphaned = self._orphaned, launcher_ended()
-        by_kernel = (
-            self._orphaned and not before
-        )  # the end of the launcher is nobody's second request
+        # The end of the launcher is nobody's second request.
+        by_kernel = self._orphaned and not before
         repeated, self._requested = self._requested and not by_kernel, True
         if repeated or self.bridge is None or not self.bridge.land():
             super()._on_signal(number, frame)

@@ -213,10 +213,6 @@ class ControllerSetpoints:
         while len(self._published) > _REMEMBERED:
             self._published.popitem(last=False)
 
-    def published(self, stamp_ns: int) -> PublishedOdometry | None:
-        """The odometry that was published with this stamp; None when it is forgotten."""
-        return self._published.get(stamp_ns)
-
     def on_message(self, data: bytes) -> bool:
         """Take a serialised setpoint; returns whether it is newer than the one before."""
         try:
@@ -224,7 +220,7 @@ class ControllerSetpoints:
         except WireError:
             self.invalid += 1
             return False
-        odometry = self.published(setpoint.stamp_ns)
+        odometry = self._published.get(setpoint.stamp_ns)
         if odometry is None:
             self.foreign += 1
             return False

@@ -332,14 +332,11 @@ class VehicleMonitor:
         self.anchor: Anchor | None = None
         self.warning = ""  # newest STATUSTEXT that is a warning or an error
         self.unhealthy = ""  # by SYS_STATUS; PX4 tells a companion no other reason
-        self.failed = (
-            ""  # those of it by which it flies, and which were healthy before it was armed
-        )
+        self.failed = ""
+        """Those of it by which it flies, and which were healthy before it was armed."""
         self._unhealthy_before: list[str] | None = None
-        self.alarm = (
-            "",
-            float("-inf"),
-        )  # newest STATUSTEXT that is critical or worse, and when it came
+        self.alarm = "", float("-inf")
+        """Newest STATUSTEXT that is critical or worse, and when it came."""
         self.battery = BatteryMonitor()
         self.gnss = GnssMonitor()
         self.pose = Pose(signed=signed)

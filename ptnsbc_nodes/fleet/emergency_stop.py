@@ -353,9 +353,8 @@ def land_left_behind(
             flown = direct.mode is FlightMode.OTHER
             direct.look(ordering=direct.armed is True and not flown)
             if direct.armed is False:
-                down = replace(
-                    record, mode=direct.mode_name, place="", fate=""
-                )  # its bridge's last
+                # Place and fate are of the time when its bridge ended.
+                down = replace(record, mode=direct.mode_name, place="", fate="")
                 write_record(folder, replace(down, armed=False, landed=True, heard=True))
                 word = "its vehicle is disarmed"
             elif now_s - max(direct.heard_s, began_s) > SILENT_S:

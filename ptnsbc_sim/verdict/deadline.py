@@ -206,9 +206,8 @@ class UavVerdict:
     error_at_deadline_m: float | None  # None: the recording ends before the deadline
     # that error is within the tolerance, whatever excuses it; None: it came later, or had left, as planned
     in_place: bool | None
-    arrived_s: (
-        float | None
-    )  # within the tolerance, of a UAV that kept its promise and was late; else None
+    # when it was within the tolerance, of a UAV that kept its promise and was late; else None
+    arrived_s: float | None
     gave_way_to: tuple[str, ...]  # uavN or an obstacle; why it was not in place
     residual: float | None  # error at the deadline over the start error
     max_error_after_m: float | None  # after the deadline, outside encounters

@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from ptnsbc_tools import console, ros
-from ptnsbc_tools.options import (
-    AllowArmingOption,
-    SetOption,
-    argument,
-    option,
-    scenario_with,
-)
+from ptnsbc_tools.options import AllowArmingOption, SetOption, argument, option, scenario_with
 
 _EXAMPLE = "experiment_4"
 _INSTALL = "install the extras [ros,mavlink] or source ROS 2"

@@ -16,12 +16,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.verdict.deadline import KEPT
 from ptnsbc_sim.verdict.verdict import plain
-from ptnsbc_tools.sweeps.summary import (
-    DISTANCES,
-    ERRORS,
-    FlightTable,
-    share_of,
-)
+from ptnsbc_tools.sweeps.summary import DISTANCES, ERRORS, FlightTable, share_of
 from ptnsbc_tools.tables import Summary
 
 LEVEL = 0.05

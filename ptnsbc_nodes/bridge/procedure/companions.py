@@ -88,10 +88,8 @@ class Placement:
     @property
     def text(self) -> str:
         """The position in words; empty while none is known."""
-        odometry = self._state_publisher.odometry
-        return (
-            "" if odometry is None else "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3].tolist())
-        )
+        position = self.position
+        return "" if position is None else "({:.1f}, {:.1f}, {:.1f}) m".format(*position)
 
     def inexact(self) -> str:
         """The reason why its position is not known well enough for the scenario; empty when it is."""

@@ -38,10 +38,8 @@ _AWAY_S, _AGAINST_S = 3.0, 3.0
 _SETTLED_S = 5.0  # after the deadline
 _GAP_S = 0.5  # after a longer silence the next place is no jump
 _ALARM_S = 1.0  # a text of the vehicle counts for so long
-_LATE_S, _WINDOW_S = (
-    0.1,
-    3.0,
-)  # a setpoint that comes longer after the one before is late; over this time
+# A setpoint that comes longer after the one before is late; over this time.
+_LATE_S, _WINDOW_S = 0.1, 3.0
 # Interpreted: one point takes no longer, and a bridge needs no compiler for a leader on a circle.
 _leader_at = unwrap(reference)
 
@@ -281,8 +279,7 @@ class FormationWatch:
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
             return
         flight_s = self.reference.flight_s(self._ports.ros_ns())
-        in_flight = step is not Step.AIRBORNE
-        follows = step is Step.FLY and in_flight and self.reference.is_member(flight_s)
+        follows = step is Step.FLY and self.reference.is_member(flight_s)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         velocity = self._state.velocity
         alarm, said_s = self._vehicle.alarm
@@ -301,7 +298,7 @@ class FormationWatch:
             alarm if now_s - said_s < _ALARM_S else "",
         )
         self.hazard = self.hazard or self._stream.fit.unfit or self._monitor.look(sight)
-        if in_flight:
+        if step is not Step.AIRBORNE:
             self.middle_m = float(self.reference.at(flight_s).position[2])
 
     def _wanted(self, odometry: Array, velocity: Array) -> Array | None:

@@ -91,9 +91,8 @@ class VehicleSnapshot:
     state_fault: str = ""  # why no fresh odometry in the world frame is published; empty when it is
     controller_age_s: float = float("inf")  # age of the odometry that the newest setpoint answers
     controller_ready: bool = False
-    controller_absent: bool = (
-        False  # its process is not heard: its launcher starts it when vehicles may arm
-    )
+    controller_absent: bool = False
+    """True while its process is not heard: its launcher starts it when vehicles may arm."""
     mode: FlightMode = FlightMode.OTHER
     mode_name: str = ""
     armed: bool = False
