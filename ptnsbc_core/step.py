@@ -50,7 +50,7 @@ from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
 from ptnsbc_core.tasks.formation_tasks import TaskGeometry
-from ptnsbc_core.tasks.near_constraints import ObstacleView, empty_memory
+from ptnsbc_core.tasks.near_constraints import ObstacleView, drift, empty_memory
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
@@ -159,8 +159,11 @@ def _plan(
     age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
     demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
     velocity = velocity_enu(inputs.own)
+    observer = state.adapted.observer
+    acceleration = add3(observer.acceleration, observer.disturbance)
+    way = drift(velocity, state.velocity, acceleration, config.clearance)
     view = ObstacleView(
-        inputs.near, age_s, state.obstacle_memory, dt, velocity, state.velocity, demand, told
+        inputs.near, age_s, state.obstacle_memory, dt, velocity, state.velocity, demand, way, told
     )
     wanted = way_out(behaviour.velocity, behaviour.place, state.standing_s, config.clearance)
     task = clearance(load3(inputs.own, 0), wanted, view, config.clearance)

@@ -118,6 +118,14 @@ class EstimatorConfig(NamedTuple):
     feed_forward: bool  # add the estimated leader velocity
 
 
+class VelocityLoop(NamedTuple):
+    """How a vehicle follows a velocity: t v'' + v' = f u' + K (u - v), u the command after the filter."""
+
+    gain: float  # K [1/s]
+    attitude_s: float  # t
+    fed_forward: float  # f: 1 where the rate of the command is fed forward, 0 where not
+
+
 class ClearanceConfig(NamedTuple):
     """Obstacle and collision avoidance (33)-(38), docs/method.md."""
 
@@ -133,6 +141,7 @@ class ClearanceConfig(NamedTuple):
     weakest: float  # [m/s^2] the same of the weakest vehicle of the fleet
     lag_s: float  # with which the vehicle follows a commanded velocity, the filter included
     bandwidth: float  # [1/s] of the command filter during an encounter
+    loop: VelocityLoop
     sensor_s: float  # period of the near-object sensor
     stale_s: float  # a sensor that is silent for longer makes the UAV slow
     range_m: float  # of the sensor

@@ -54,8 +54,8 @@ _CHANGE = 0.25
 _COINCIDENT_M = 1e-6
 _LEAST_BRAKING = 0.25
 
-_AHEAD = 0.5
-"""Share of the room that a UAV may fly before the point from which its line is judged: that has to be outside."""
+_POINTS = 3
+"""Of the way from the UAV to the line on which it ends, from which its velocities are judged."""
 
 
 class ObstacleView(NamedTuple):
@@ -68,6 +68,7 @@ class ObstacleView(NamedTuple):
     velocity: Vector3  # [m/s, ENU] of the UAV
     command: Vector3  # [m/s, ENU] that it was given last, after the filter
     demand: float  # [m/s^2] acceleration that its motion needs already
+    drift: Vector3  # [m, ENU] see `drift`
     told: ToldPaths  # of all UAVs of the formation
 
 
@@ -334,14 +335,29 @@ def _lacks(space: HalfSpace, relative: Vector3) -> float:
 
 
 @inline_kernel
-def _later(
+def drift(
+    velocity: Vector3, command: Vector3, acceleration: Vector3, config: ClearanceConfig
+) -> Vector3:
+    """p [m] = u/b + (v - f u + t v')/K, of the velocity v, its rate, and the command u after the filter of bandwidth b.
+
+    A vehicle with this VelocityLoop that is told w from here on ends on the line x + p + s w, whatever w is.
+    """
+    loop = config.loop
+    behind = axpy(-loop.fed_forward, command, axpy(loop.attitude_s, acceleration, velocity))
+    return axpy(1.0 / config.bandwidth, command, scale3(1.0 / loop.gain, behind))
+
+
+@inline_kernel
+def _leaving(
     away: Vector3, keep_out: float, relative: Vector3, allowed: float, lag_s: float
 ) -> HalfSpace:
-    """`clear_velocities` from where the UAV is after its lag; what it is told till then does not change its line."""
-    length = norm3(away)
-    closing = -dot3(relative, away) / length
-    ahead_s = min(lag_s, _AHEAD * (length - keep_out) / max(closing, _TINY))
-    return clear_velocities(axpy(ahead_s, relative, away), keep_out, relative, allowed)
+    """`clear_velocities` from a point that the UAV comes to; where that is inside, those that lead out in its lag."""
+    distance = norm3(away)
+    if distance > keep_out + _COINCIDENT_M:
+        return clear_velocities(away, keep_out, relative, allowed)
+    if distance < _COINCIDENT_M:
+        return HalfSpace((0.0, 0.0, 0.0), -np.inf)
+    return HalfSpace(div3(away, distance), (keep_out - distance) / lag_s)
 
 
 @kernel
@@ -380,9 +396,12 @@ def _braking_constraint(
     closing_in = flattened(relative, flat)
     space = clear_velocities(away, keep_out, closing_in, allowed)
     if not moves and keep_out < TANGENT_RADIUS_M:  # the sphere of a body goes along with the UAV
-        late_space = _later(away, keep_out, closing_in, allowed, late)
-        if _lacks(late_space, closing_in) > _lacks(space, closing_in):
-            space = late_space
+        way = flattened(view.drift, flat)
+        for point in range(1, _POINTS):
+            later = axpy(point / (_POINTS - 1), way, away)
+            later_space = _leaving(later, keep_out, closing_in, allowed, late)
+            if _lacks(later_space, closing_in) > _lacks(space, closing_in):
+                space = later_space
     side, steep = slope(space.normal, flat)
     bound = dot3(side, beside) + share * (space.bound / steep - dot3(side, relative))
     return ClearanceConstraint(side, bound, depth)

@@ -37,6 +37,7 @@ from ptnsbc_core.types import (
     RecoveryConfig,
     Trajectory,
     Vector3,
+    VelocityLoop,
 )
 from ptnsbc_sim.plugins.formation_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import leader_motion, turn_of
@@ -175,6 +176,15 @@ def loop_lag_s(scenario: Scenario) -> float:
     return 1.0 / gains.pointing.tilt_1_s + rate + scenario.plant.rotor_limits.motor_lag_s
 
 
+def _velocity_loop(scenario: Scenario) -> VelocityLoop:
+    """A vehicle of which a lag alone is known follows as one of the first order."""
+    gains, lag_s = scenario.gains, loop_lag_s(scenario)
+    if gains.clearance.lag_s is not None:
+        return VelocityLoop(1.0 / lag_s, 0.0, 0.0)
+    attitude_s = lag_s if PLANTS[scenario.plant.kind] == PLANT_QUADROTOR else 0.0
+    return VelocityLoop(float(gains.force.scale * gains.force.kappa_1_s), float(attitude_s), 1.0)
+
+
 def deceleration(scenario: Scenario, uav_id: int) -> float:
     """Acceleration [m/s^2] that a vehicle has in every direction: tilt, descent, climb and the command filter."""
     limit = scenario.gains.filter.max_acceleration_m_s2
@@ -215,6 +225,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         weakest=_weakest(scenario),
         lag_s=float(1.0 / scenario.timing.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
+        loop=_velocity_loop(scenario),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
         stale_s=float(gains.stale_s),
         range_m=float(scenario.sensor.range_m),

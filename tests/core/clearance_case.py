@@ -17,6 +17,7 @@ from ptnsbc_core.types import (
     ClearanceConfig,
     ClearanceTask,
     LoopGain,
+    VelocityLoop,
 )
 
 clearance = on_arrays(task.clearance)
@@ -27,6 +28,7 @@ FREE = np.inf
 FIRST = KAPPA + step_gain(0.0, DT, 1.0, 1e-2)
 """alpha of the first tick inside, where the encounter's time base has only begun to rise."""
 
+NO_DRIFT = (0.0, 0.0, 0.0)
 NOTHING_TOLD = ToldPaths(0.0, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, np.empty((0, 4)), 0.0, 0.0)
 
 seeds = st.integers(0, 2**31)
@@ -47,6 +49,7 @@ def config_of(rule: int = AVOIDANCE_SET_BASED, **changes) -> ClearanceConfig:
         6.0,
         LAG,
         1.0 / LAG,
+        VelocityLoop(1.0 / LAG, 0.0, 0.0),
         0.05,
         0.5,
         4.0,
@@ -81,7 +84,7 @@ def result(
     memory = empty_memory() if memory is None else memory
     velocity = np.asarray(velocity, dtype=float)
     command = velocity if command is None else np.asarray(command, dtype=float)
-    view = ObstacleView(near, age, memory, DT, velocity, command, 0.0, told)
+    view = ObstacleView(near, age, memory, DT, velocity, command, 0.0, LAG * velocity, told)
     top: ClearanceTask = clearance(position, wanted, view, config)
     return top, compose_with_clearance(top, FREE).velocity
 

@@ -372,6 +372,30 @@ def test_two_that_cross_one_above_the_other_keep_out_of_the_downwash(above_m: fl
     assert told["uav2", "uav3"] == pytest.approx(least, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("leader_m_s", "keep_out_m", "aside_m"),
+    [(1.0, 2.0, -0.6), (1.0, 2.5, 0.0), (1.5, 2.5, -0.75), (2.0, 2.5, -1.5)],
+)
+def test_a_formation_passes_a_large_obstacle_on_its_way(
+    leader_m_s: float, keep_out_m: float, aside_m: float
+) -> None:
+    """A vehicle that turns around it still turns a lag later: judged from where it is, it entered by 11 to 90 mm."""
+    rock = {
+        "name": "rock",
+        "position_m": [12.0 * leader_m_s, aside_m, 10],
+        "keep_out_m": keep_out_m,
+    }
+    line = {"kind": "line", "position_m": [0, 0, 10], "velocity_m_s": [leader_m_s, 0, 0]}
+    changes = {
+        "timing.duration_s": 14.0,
+        "leader.trajectory": line,
+        "world.obstacles": [rock],
+    }
+    flown = fly(load_scenario("paper_5_free", changes))
+    away = np.linalg.norm(flown.truth[:, :, :3] - rock["position_m"], axis=2)
+    assert keep_out_m < away.min() < keep_out_m + 0.1
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_unlike_vehicles_form_and_keep_the_distance_of_each_pair(plant: str) -> None:
     own = {

@@ -8,6 +8,7 @@ from clearance_case import (
     KAPPA,
     KEEP_OUT,
     LAG,
+    NO_DRIFT,
     NOTHING_TOLD,
     ROCK,
     braking,
@@ -21,6 +22,7 @@ from clearance_case import (
 from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
+from scipy.linalg import expm
 
 from ptnsbc_core.curves.turned import ToldPaths
 from ptnsbc_core.tasks.near_constraints import (
@@ -29,15 +31,23 @@ from ptnsbc_core.tasks.near_constraints import (
     braking_speed,
     clear_velocities,
     constraints,
+    drift,
     empty_memory,
     tangent,
 )
 from ptnsbc_core.timebase import h, h_rate
-from ptnsbc_core.types import AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED, SPEED_BRAKING
+from ptnsbc_core.types import (
+    AVOIDANCE_OFF,
+    AVOIDANCE_SET_BASED,
+    AVOIDANCE_SWITCHED,
+    SPEED_BRAKING,
+    VelocityLoop,
+)
 
 clear_velocities = on_arrays(clear_velocities)
 constraints = on_arrays(constraints)
 tangent = on_arrays(tangent)
+drift = on_arrays(drift)
 
 
 @given(room=st.floats(0.01, 3.0), speed=st.floats(0.0, 9.0))
@@ -55,7 +65,7 @@ def test_what_the_motion_needs_already_is_not_there_for_braking() -> None:
     near = object_at((3.0, 0, 0))[np.newaxis]
     for demand, left in ((0.0, 6.0), (2.0, 4.0), (50.0, 1.5)):
         view = ObstacleView(
-            near, 0.0, empty_memory(), DT, np.zeros(3), np.zeros(3), demand, NOTHING_TOLD
+            near, 0.0, empty_memory(), DT, np.zeros(3), np.zeros(3), demand, NO_DRIFT, NOTHING_TOLD
         )
         top = clearance(np.zeros(3), np.array([9.0, 0, 0]), view, braking())
         speed = compose_with_clearance(top, FREE).velocity[0]
@@ -94,6 +104,31 @@ def test_a_vehicle_that_lags_behind_passes_beside_a_standing_object(
         assert least > -deep_m
 
 
+@given(
+    seed=seeds,
+    gain=st.floats(2.0, 20.0),
+    attitude_s=st.floats(0.01, 0.2),
+    fed_forward=st.sampled_from([0.0, 1.0]),
+)
+def test_whatever_it_is_told_a_vehicle_ends_on_the_line_that_its_drift_names(
+    seed: int, gain: float, attitude_s: float, fed_forward: float
+) -> None:
+    """x' = v, v' = a, t a' = f u' + K (u - v) - a, u' = b (w - u) with a constant w."""
+    velocity, acceleration, command, told = states = np.random.default_rng(seed).normal(size=(4, 3))
+    config = braking(loop=VelocityLoop(gain, attitude_s, fed_forward))
+    b, f = config.bandwidth, fed_forward
+    rates = [
+        [0.0, 1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0],
+        np.array([0.0, -gain, -1.0, gain - f * b, f * b]) / attitude_s,
+        [0.0, 0.0, 0.0, -b, b],
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+    ]
+    place = (expm(20.0 * np.array(rates)) @ np.vstack([np.zeros(3), states]))[0]
+    line = place - drift(velocity, command, acceleration, config)
+    assert np.linalg.norm(np.cross(line, told)) < 1e-6 * np.linalg.norm(told)
+
+
 def test_two_that_meet_straight_on_each_make_half_of_the_change_to_the_same_side() -> None:
     """All is mirrored: their changes sum to nothing, and both pass on the right."""
     place, speed = np.array([3.0, 0, 0]), np.array([2.0, 0, 0])
@@ -120,8 +155,12 @@ def test_half_of_what_a_pair_is_blown_off_by_is_no_reason_to_give_way(seed: int)
     still, blown = (
         constraints(np.zeros(3), view, braking())
         for view in (
-            ObstacleView(near, 0.0, empty_memory(), DT, common, common, 0.0, NOTHING_TOLD),
-            ObstacleView(near, 0.0, empty_memory(), DT, common, np.zeros(3), 0.0, NOTHING_TOLD),
+            ObstacleView(
+                near, 0.0, empty_memory(), DT, common, common, 0.0, NO_DRIFT, NOTHING_TOLD
+            ),
+            ObstacleView(
+                near, 0.0, empty_memory(), DT, common, np.zeros(3), 0.0, NO_DRIFT, NOTHING_TOLD
+            ),
         )
     )
     moved = still.bound[0] - blown.bound[0]
@@ -155,7 +194,15 @@ def test_halves_of_a_pair_sum_to_the_whole_change(seed: int) -> None:
     lag = 0.3 * rng.normal(size=3)
     config = braking(margin_m=0.0)
     first = ObstacleView(
-        object_at(place, there)[None], 0.0, empty_memory(), DT, here, here + lag, 0.0, NOTHING_TOLD
+        object_at(place, there)[None],
+        0.0,
+        empty_memory(),
+        DT,
+        here,
+        here + lag,
+        0.0,
+        NO_DRIFT,
+        NOTHING_TOLD,
     )
     other = ObstacleView(
         object_at((0, 0, 0), here)[None],
@@ -165,6 +212,7 @@ def test_halves_of_a_pair_sum_to_the_whole_change(seed: int) -> None:
         there,
         there - lag,
         0.0,
+        NO_DRIFT,
         NOTHING_TOLD,
     )
     one, two = constraints(np.zeros(3), first, config), constraints(place, other, config)

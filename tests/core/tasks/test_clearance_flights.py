@@ -6,6 +6,7 @@ from clearance_case import (
     DT,
     FREE,
     KEEP_OUT,
+    NO_DRIFT,
     NOTHING_TOLD,
     ROCK,
     braking,
@@ -172,7 +173,7 @@ def test_all_around_a_circle_change_places(count: int, aside_m: float) -> None:
             place = FormationPlace(goals[uav] - places[uav], np.zeros(3))
             asked = way_out(wanted, place, standing[uav], climbs[uav])
             view = ObstacleView(
-                near, 0.0, memories[uav], dt, speeds[uav], speeds[uav], 0.0, NOTHING_TOLD
+                near, 0.0, memories[uav], dt, speeds[uav], speeds[uav], 0.0, NO_DRIFT, NOTHING_TOLD
             )
             top = clearance(places[uav], asked, view, config)
             memories[uav] = top.memory

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clearance_case import NOTHING_TOLD
+from clearance_case import NO_DRIFT, NOTHING_TOLD
 from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
@@ -32,6 +32,7 @@ from ptnsbc_core.types import (
     SPEED_LINEAR,
     ClearanceConfig,
     LoopGain,
+    VelocityLoop,
 )
 
 clear_velocities = on_arrays(clear_velocities)
@@ -113,7 +114,9 @@ def ellipsoid_view(seed: int) -> tuple[np.ndarray, ObstacleView, np.ndarray]:
     place = axes * away / np.linalg.norm(away) * rng.uniform(1.01, 4.0)
     near = np.array([[0.0, 0.0, 0.0, radius, 0.0, 0.0, 0.0, radius * height]])
     velocity = tuple(rng.normal(size=3) * 2.0)
-    view = ObstacleView(near, 0.0, empty_memory(), DT, velocity, velocity, 0.0, NOTHING_TOLD)
+    view = ObstacleView(
+        near, 0.0, empty_memory(), DT, velocity, velocity, 0.0, NO_DRIFT, NOTHING_TOLD
+    )
     return place, view, axes
 
 
@@ -221,8 +224,26 @@ def test_tangent_is_across_the_normal() -> None:
 
 DT = 0.1
 GAIN = LoopGain(1.0, 1e-2, 1.0, 3.0, PROFILE_PAPER)
+LOOP = VelocityLoop(5.0, 0.0, 0.0)
 CONFIG = ClearanceConfig(
-    1, 0.0, GAIN, 0.6, 0.5, 2.05, 1.0, SPEED_LINEAR, 6.0, 6.0, 0.2, 5.0, 0.05, 0.5, 4.0, 4.0, 0.1
+    1,
+    0.0,
+    GAIN,
+    0.6,
+    0.5,
+    2.05,
+    1.0,
+    SPEED_LINEAR,
+    6.0,
+    6.0,
+    0.2,
+    5.0,
+    LOOP,
+    0.05,
+    0.5,
+    4.0,
+    4.0,
+    0.1,
 )
 
 
