@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ptnsbc_autopilot import flight_logs
 from ptnsbc_autopilot.commands import COMMANDS, mode_request, request_of
 from ptnsbc_autopilot.vehicle import Outgoing, StandInVehicle
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -95,6 +96,9 @@ HANDLERS: dict[str, Handler] = {
     "PARAM_REQUEST_LIST": _param_request_list,
     "PARAM_SET": _param_set,
     "SET_MODE": _set_mode,
+    "LOG_REQUEST_LIST": flight_logs.on_request_list,
+    "LOG_REQUEST_DATA": flight_logs.on_request_data,
+    "LOG_REQUEST_END": flight_logs.on_request_end,
     "SET_POSITION_TARGET_LOCAL_NED": lambda v, message, _, t: v.on_setpoint(message, t),
     "SET_ATTITUDE_TARGET": lambda v, message, _, t: v.on_setpoint(message, t),
 }

@@ -90,6 +90,8 @@ class Firmware(ABC):
     rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
     ready_s: ClassVar[tuple[float, float]]  # from boot to a valid position, at least and at most
     dead_reckoning_s: ClassVar[float] = 5.0
+    has_logs: ClassVar[bool] = True
+    first_log: ClassVar[int] = 0  # the number of the first one
     command_ids: ClassVar[frozenset[int] | None] = None  # the commands it knows; None: all
 
     @abstractmethod
@@ -178,6 +180,7 @@ class StandInVehicle(Firmware):
         self.clock = BootClock(t)
         self.faults = Faults()
         self.boots = 0
+        self.flown = 0  # times that it was armed: each has a log
         self.armed = False
         self.armed_t = t
         self.lifted = False  # has left the ground since it was armed
@@ -240,6 +243,7 @@ class StandInVehicle(Firmware):
     def arm(self, t: float) -> None:
         """Switch the motors on, without checks."""
         self.armed, self.armed_t, self.lifted = True, t, False
+        self.flown += 1
         self.home_local_enu = self.flight.estimate.position_enu.copy()
         self.on_armed(t)
         self.log("armed")

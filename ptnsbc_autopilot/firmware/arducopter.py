@@ -53,6 +53,7 @@ class ArduCopter(FlightController):
     autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
     version_word = 4 << 24 | 7 << 16
+    first_log = 1
     refusal = _FAILED
     earth_radius_m = ARDUPILOT_RADIUS_M
     drag_1_s = 0.2  # of its simulated quadrotor: the momentum drag of the rotors

@@ -45,6 +45,7 @@ class Stm32(FlightController):
     refusal = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
     ready_s = (2.0, 4.0)
     rates_hz = (_RATES_HZ, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0})
+    has_logs = False
     command_ids = frozenset(
         (
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM,

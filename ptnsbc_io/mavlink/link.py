@@ -13,10 +13,12 @@ import select
 import time
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
+from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.transport import Address, Transport
+from ptnsbc_io.mavlink.transport import Address, Transport, connect
 
 V2, V1 = 0xFD, 0xFE
 SIGNED = 0x01
@@ -167,6 +169,13 @@ class Signer:
 OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
+
+def companion_heartbeat() -> Any:
+    """The sign of life of a companion."""
+    kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
+
+
 _ADDRESS_TIMEOUT_S = 3.0
 _MOST_PER_POLL = 200  # packets; a flood must not delay the setpoint stream
 
@@ -316,3 +325,15 @@ class MavlinkLink:
         self.duplicate_sysid_s = now_s
         self.counts["other_address"] += 1
         return False
+
+
+def link_to(
+    address: str, sysid: int, wanted: frozenset[int], key: str = "", link_id: int = 0
+) -> MavlinkLink:
+    """The link to the vehicle at an address as `connect` takes it; `key`: path of the key file, empty without signing.
+
+    Raises:
+        PtnsbcError: the link cannot be opened, or the key not be read.
+    """
+    signer = Signer(read_key(Path(key)), link_id) if key else None
+    return MavlinkLink(connect(address), sysid, wanted, signer)

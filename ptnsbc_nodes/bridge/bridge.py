@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-from ptnsbc_io.mavlink.transport import PortTakenError, connect
+from ptnsbc_io.mavlink.link import MavlinkLink, link_to
+from ptnsbc_io.mavlink.transport import PortTakenError
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, ON_GROUND_M, Placement
@@ -54,17 +52,14 @@ def open_link(
     Raises:
         PtnsbcError: the link cannot be opened.
     """
-    signer = Signer(read_key(Path(key))) if key else None
     until_s = time.monotonic() + taken_s
     while True:
         try:
-            transport = connect(settings.connect)
+            return link_to(settings.connect, settings.sysid, WANTED_MESSAGES, key)
         except PortTakenError:
             if over() or time.monotonic() >= until_s:
                 raise
             time.sleep(_PORT_AGAIN_S)
-        else:
-            return MavlinkLink(transport, settings.sysid, WANTED_MESSAGES, signer)
 
 
 class Bridge:

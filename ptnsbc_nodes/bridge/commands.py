@@ -29,12 +29,6 @@ _TRUTH_HZ = {  # a real vehicle refuses it
 }
 
 
-def companion_heartbeat() -> Any:
-    """The sign of life of a companion."""
-    kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3)
-
-
 class Commands:
     """COMMAND_LONG messages for one vehicle."""
 

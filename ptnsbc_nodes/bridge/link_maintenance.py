@@ -8,9 +8,9 @@ from typing import Any
 from ptnsbc_core.nanoseconds import nanoseconds
 from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, fate, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
+from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink, companion_heartbeat
 from ptnsbc_io.mavlink.timesync import TimeSync
-from ptnsbc_nodes.bridge.commands import Commands, companion_heartbeat
+from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 from ptnsbc_sim.scenario.mavlink import VehicleLink
 

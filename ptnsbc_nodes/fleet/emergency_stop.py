@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.files import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.flight_mode import FlightMode
-from ptnsbc_io.mavlink.link import MavlinkLink, Signer
-from ptnsbc_io.mavlink.transport import ConnectError, connect
-from ptnsbc_nodes.bridge.commands import Commands, companion_heartbeat
+from ptnsbc_io.mavlink.link import MavlinkLink, companion_heartbeat, link_to
+from ptnsbc_io.mavlink.transport import ConnectError
+from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.procedure.steps import SILENT_S, CommandRequest, Step
 from ptnsbc_nodes.emergency import (
     KILL,
@@ -397,15 +396,11 @@ class DirectOrder:
         """The link to the vehicle; None while it cannot be opened, as the port of a bridge that is just ending."""
         record, self.problem = self._record, ""
         try:
-            key = record.signing_key
-            signer = Signer(read_key(Path(key)), _LINK_ID) if key else None
-            if not record.alive:  # the bridge's own link
-                transport = connect(record.connect)
-            elif record.peer:
-                transport = connect(f"udpout:{record.peer}")
-            else:
+            if record.alive and not record.peer:
                 raise ConnectError(f"{record.connect}: the address of the vehicle is not known")
-            return MavlinkLink(transport, record.sysid, _WANTED, signer)
+            # A dead bridge has left its own link.
+            address = f"udpout:{record.peer}" if record.alive else record.connect
+            return link_to(address, record.sysid, _WANTED, record.signing_key, _LINK_ID)
         except PtnsbcError as error:
             self.problem = " ".join(str(error).split())
             return None

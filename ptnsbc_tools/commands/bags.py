@@ -1,4 +1,4 @@
-"""`ptnsbc bag`: replay, show and repair bags."""
+"""`ptnsbc bag`: replay, show and repair bags, and the logs of autopilots beside them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import FASTEST_HZ, LONGEST_S
 from ptnsbc_tools.options import (
@@ -20,6 +21,7 @@ from ptnsbc_tools.options import (
     flat,
     group,
     option,
+    scenario_with,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130
 
-bag = group("Replay, show or repair bags.")
+bag = group("Replay, show or repair bags; fetch autopilots' logs.")
 
 
 @bag.command()
@@ -136,6 +138,60 @@ def repair(
     print(f"{rescued} rescued; {'; '.join(lost) or 'nothing was missing'}")
     print(f"bag: {made.bag}")
     print(f"original: {made.original or 'discarded'}")
+
+
+@bag.command()
+def logs(
+    bag: Annotated[Path, argument("BAG", "Folder of the bag of the flight.")],
+    scenario: Annotated[
+        str | None,
+        argument(
+            "[SCENARIO]", "The links to the vehicles. Default: as in the scenario of the bag."
+        ),
+    ] = None,
+    overwrite: Annotated[bool, option("--overwrite", "Replace logs that are there.")] = False,
+    patience: Annotated[
+        float, option("--patience S", "Give a vehicle up that is silent so long.", 1.0, LONGEST_S)
+    ] = 10.0,
+) -> None:
+    """Fetch each autopilot's newest log by MAVLink, after the flight, and lay it into the folder of its bag.
+
+    The vehicles stand disarmed on the ground, and no bridge runs. PX4's log is uav1.ulg, any other's uav1.bin.
+    Exit codes: 0, 1 not all fetched, 2 refused.
+    """
+    from ptnsbc_io.bag import read_bag
+    from ptnsbc_tools.reading.bag_reader import scenario_of
+
+    with ros.required("install the extra [mavlink]"):
+        from ptnsbc_io.mavlink.link import link_to
+        from ptnsbc_io.mavlink.log_download import WANTED, LogDownload, LogError, fetch_logs
+    found = read_bag(bag)
+    if not bag.is_dir():
+        raise LogError(f"{bag}: expected the folder of a bag")
+    flown = scenario_of(found, None) if scenario is None else scenario_with(scenario, {})
+    problems: dict[str, str] = {}
+    downloads: dict[str, LogDownload] = {}
+    for uav in flown.uav_ids:
+        link = flown.vehicle_link(uav)
+        name = f"uav{uav} ({link.label})" if link.label else f"uav{uav}"
+        path = bag / f"uav{uav}{'.ulg' if link.autopilot == 'px4' else '.bin'}"
+        try:
+            if path.exists() and not overwrite:
+                raise LogError(f"{path} exists: move it away, or give --overwrite")
+            opened = link_to(link.connect, link.sysid, WANTED, link.signing_key or "", 1)
+            downloads[name] = LogDownload(opened, link.sysid, path, patience)
+        except PtnsbcError as error:
+            problems[name] = str(error)
+    with console.progress("logs") as advance:
+        fetch_logs(list(downloads.values()), advance)
+    for name, one in downloads.items():
+        if one.problem:
+            problems[name] = one.problem
+        else:
+            print(f"{name}: {one.size} bytes: {one.path}")
+    for name, problem in problems.items():
+        console.say(f"{name}: {problem}")
+    raise typer.Exit(1 if problems else 0)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
-"""What is played is what was recorded, and a recorder beside hears all of it."""
+"""What is played is what was recorded; the autopilots' logs beside it."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -19,13 +21,19 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from rclpy.node import Node
+from typer.testing import CliRunner
 
-from ptnsbc_io.bag import BagTopic, read_bag
+from ptnsbc_autopilot.flight_logs import log_bytes
+from ptnsbc_autopilot.launch import Fleet, Network, Options, stations
+from ptnsbc_autopilot.server import serve
+from ptnsbc_io.bag import BagTopic, BagWriter, read_bag
 from ptnsbc_io.bag.metadata import declare
-from ptnsbc_io.wire import peek_stamp
+from ptnsbc_io.wire import HeaderTemplate, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.recording.player import profile
 from ptnsbc_nodes.runtime.environment import free_domain
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.cli import app
 
 pytestmark = pytest.mark.ros
 
@@ -119,7 +127,6 @@ def test_some_topics_are_played_with_a_clock(start, headless, tmp_path):
     out, err = recorder.communicate(timeout=60)
     assert recorder.returncode == 0, err
     counts = {name: count for name, count in json.loads(out)["topics"].items() if count}
-    print(counts)
     assert set(counts) == {"/clock", "/uav1/setpoint/velocity", "/uav1/setpoint/wrench"}
     heard = contents(part)
     assert len(heard["/uav1/setpoint/wrench"]) == 100
@@ -172,3 +179,48 @@ def test_quality_of_service_of_others(text):
     found = profile(BagTopic("/a", "std_msgs/msg/Header", 1, text))
     assert found.reliability.name == expected
     assert 1 <= found.depth <= 100_000
+
+
+@contextmanager
+def flown_vehicles(scenario: Path, count: int) -> Iterator[None]:
+    """Stand-ins of the first vehicles of a scenario, which have flown once."""
+    stop, ready = threading.Event(), threading.Event()
+    options = Options(fleet=Fleet(count, scenario), network=Network(gcs=None), boot_time=0.0)
+    fleet = stations(options, time.monotonic(), lambda _line: None)
+    for station in fleet:
+        station.vehicle.flown = 1
+    thread = threading.Thread(target=serve, args=(fleet, stop.is_set), kwargs={"ready": ready.set})
+    thread.start()
+    try:
+        assert ready.wait(20.0)
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_the_autopilots_logs_are_laid_into_the_folder_of_the_bag(tmp_path):
+    keys = {"mavlink.vehicles.1.label": "red, Ada", "mavlink.vehicles.2.autopilot": "ardupilot"}
+    for uav in (1, 2):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            keys[f"mavlink.vehicles.{uav}.connect"] = f"udpout:127.0.0.1:{free.getsockname()[1]}"
+    text = load_scenario("examples/three.yaml", keys).text
+    flight, scenario = tmp_path / "flight", tmp_path / "three.yaml"
+    scenario.write_text(text)
+    attached = {"scenario.yaml": text.encode()}
+    with BagWriter(flight, [declare("/a", "std_msgs/msg/Header")], attachments=attached) as bag:
+        bag.write("/a", 0, HeaderTemplate("map").encode(0))
+    (flight / "uav3.ulg").touch()
+    with flown_vehicles(scenario, 2):
+        done = CliRunner().invoke(app, ["bag", "logs", str(flight)])
+    assert done.exit_code == 1, done.output
+    assert (flight / "uav1.ulg").read_bytes() == log_bytes(1, 1)
+    assert (flight / "uav2.bin").read_bytes() == log_bytes(2, 1)
+    assert done.stdout.splitlines() == [
+        f"uav1 (red, Ada): 9123 bytes: {flight}/uav1.ulg",
+        f"uav2: 9123 bytes: {flight}/uav2.bin",
+    ]
+    assert f"uav3: {flight}/uav3.ulg exists: move it away, or give --overwrite" in done.stderr
+    assert (flight / "uav3.ulg").read_bytes() == b""
+    assert CliRunner().invoke(app, ["bag", "info", str(flight), "--check"]).exit_code == 0
