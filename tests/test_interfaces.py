@@ -58,3 +58,17 @@ def test_a_package_that_is_not_there_is_named(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == f"interfaces: {tmp_path / 'none'}: no package.xml\n"
+
+
+@pytest.mark.parametrize(("kind", "needed"), [("srv", "service_msgs"), ("action", "action_msgs")])
+def test_what_every_service_and_action_needs_need_not_be_named(
+    tmp_path: Path, kind: str, needed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rosidl_adapter")
+    monkeypatch.syspath_prepend(BUILD)
+    (tmp_path / "package.xml").write_text("<package><name>mine</name></package>")
+    depended_on = importlib.import_module("build").depended_on
+    assert depended_on(tmp_path) == []
+    (tmp_path / kind).mkdir()
+    (tmp_path / kind / f"Do.{kind}").touch()
+    assert {needed, "builtin_interfaces"} <= set(depended_on(tmp_path))

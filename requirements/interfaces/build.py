@@ -62,6 +62,8 @@ _C, _FASTRTPS, _INTROSPECTION = (
 )
 _TYPE_SUPPORT, _PYTHON = "rosidl_typesupport_c", "rosidl_generator_py"
 _DEPENDENCIES = ("depend", "build_depend", "exec_depend", "build_export_depend")
+# Few packages name what the generators need of every service and action.
+_OF_KINDS = {"srv": ["service_msgs"], "action": ["action_msgs", "service_msgs"]}
 _JOBS = min(4, os.cpu_count() or 1)
 
 
@@ -73,16 +75,17 @@ def depended_on(package: Path) -> list[str]:
     """Names of the message packages that a package needs, also indirectly."""
     found: list[str] = []
 
-    def look(xml: Path) -> None:
-        root = ElementTree.parse(xml).getroot()
+    def look(folder: Path) -> None:
+        root = ElementTree.parse(folder / "package.xml").getroot()
         names = [entry.text or "" for tag in _DEPENDENCIES for entry in root.findall(tag)]
+        for kind, implied in _OF_KINDS.items():
+            names += implied if any(folder.glob(f"{kind}/*.{kind}")) else []
         for name in names:
-            if name in found or not any((SHARE / name).glob("*/*.idl")):
-                continue
-            found.append(name)
-            look(SHARE / name / "package.xml")
+            if name not in found and any((SHARE / name).glob("*/*.idl")):
+                found.append(name)
+                look(SHARE / name)
 
-    look(package / "package.xml")
+    look(package)
     return found
 
 
