@@ -24,6 +24,17 @@ class FullState:
         return dict(zip(("header", "pose", "twist", "acc"), types, strict=True))
 
 
+class VelocityWorld:
+    """As `crazyflie_interfaces/msg/VelocityWorld`."""
+
+    def __init__(self):
+        self.header, self.vel, self.yaw_rate = Header(), Vector3(), 0.0
+
+    @classmethod
+    def get_fields_and_field_types(cls):
+        return {"header": "std_msgs/Header", "vel": "geometry_msgs/Vector3", "yaw_rate": "float"}
+
+
 class _Planned:
     """The request of `crazyflie_interfaces/srv/Takeoff` and `Land`."""
 
@@ -42,6 +53,7 @@ MODULES = {
     name: ModuleType(name) for name in ("crazyflie_interfaces.msg", "crazyflie_interfaces.srv")
 }
 MODULES["crazyflie_interfaces.msg"].FullState = FullState
+MODULES["crazyflie_interfaces.msg"].VelocityWorld = VelocityWorld
 for _name, _request in {
     "Takeoff": _Planned,
     "Land": _Planned,

@@ -152,6 +152,36 @@ def test_setpoints_are_a_type_of_the_user_with_a_mapping_of_fields(ros, opened, 
     assert laboratory(**keys).vehicle_link(1).setpoint == "position_velocity"
 
 
+def test_setpoints_are_points_of_a_trajectory_with_lists_of_one(ros, opened, heard):
+    types = pytest.importorskip("trajectory_msgs.msg", reason="make test builds it where g++ is")
+    point = types.MultiDOFJointTrajectoryPoint
+    keys = {
+        "output": "/{name}/point",
+        "output_type": "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
+        "fields": {
+            "position": "transforms.0.translation",
+            "orientation": "transforms.0.rotation",
+            "velocity": "velocities.0.linear",
+            "yaw_rate": "velocities.0.angular.z",
+            "acceleration": "accelerations.0.linear",
+        },
+    }
+    link, got = opened(**keys), heard(point, "/uav1/point")
+    full = (np.array([4.0, 5.0, 6.0]), *UP[1:])
+    ros.spin_until(lambda: got or link.fly(*full))
+    (transform,), (velocity,), (acceleration,) = (
+        got[0].transforms,
+        got[0].velocities,
+        got[0].accelerations,
+    )
+    place, turned = transform.translation, transform.rotation
+    assert (place.x, place.y, place.z) == (4.0, 5.0, 6.0)
+    assert (turned.z, turned.w) == pytest.approx((math.sin(0.25), math.cos(0.25)))
+    assert (velocity.linear.x, velocity.linear.z) == (0.1, 0.3)
+    assert velocity.angular.z == pytest.approx(0.5)
+    assert (acceleration.linear.x, acceleration.linear.z) == (1.0, 3.0)
+
+
 def test_services_are_called_in_turn_and_their_answer_counts(ros, opened):
     server, called = ros.node("server"), []
 
@@ -264,6 +294,23 @@ def test_a_crazyflie_takes_off_flies_full_states_and_lands_by_its_own_planner(cr
     assert [name for name, _ in server.called[1:]] == ["/cf2/notify_setpoints_stop", "/cf2/land"]
     assert server.called[2][1].height == pytest.approx(0.03)
     assert link.mode is FlightMode.LAND
+
+
+def test_a_crazyflie_takes_velocities_by_another_mapping(crazyflie):
+    _, server = crazyflie
+    keys = {
+        "ros.output": "/{name}/cmd_velocity_world",
+        "ros.output_type": "crazyflie_interfaces/msg/VelocityWorld",
+        "ros.fields": {"velocity": "vel"},
+    }
+    link = open_ros_link(server, load_scenario("crazyflie_4", keys).bridged(ros=True), 2)
+    assert server.output == "/cf2/cmd_velocity_world"
+    for position, wanted in ((None, UP[1]), (np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, 0.5]))):
+        link.fly(position, UP[1] if position is None else None, None, 0.5)
+        sent = crazyswarm_node.VelocityWorld()
+        sent.header = link._message.header
+        sent.vel.x, sent.vel.y, sent.vel.z = wanted.tolist()
+        assert server.sent[-1] == encode(sent)
 
 
 def test_stop_with_kill_stops_the_motors_of_a_crazyflie(crazyflie):
