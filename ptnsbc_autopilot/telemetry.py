@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_autopilot.physics.frames import (
-    attitude_swap,
-    body_swap,
-    euler_of,
-    geodetic,
-    world_swap,
-)
+from ptnsbc_autopilot.physics.frames import attitude_swap, body_swap, euler_of, geodetic, world_swap
 from ptnsbc_autopilot.vehicle import StandInVehicle
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink

@@ -112,10 +112,7 @@ def _ages(scenario: Scenario, uav: int, other: int) -> Array:
 
 
 def _looks(
-    scenario: Scenario,
-    ages: Mapping[int, Array],
-    dead: NDArray[np.bool_],
-    woke: NDArray[np.int64],
+    scenario: Scenario, ages: Mapping[int, Array], dead: NDArray[np.bool_], woke: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """The ticks at which what a UAV sees may have changed."""
     stale_s = float(scenario.communication.stale_s)

@@ -123,10 +123,7 @@ def swarm_of(
 
 
 def _take_role(
-    change: RoleChange,
-    tick: int,
-    swarm: SwarmState,
-    disturbances: Disturbances | None,
+    change: RoleChange, tick: int, swarm: SwarmState, disturbances: Disturbances | None
 ) -> None:
     """Have a UAV fly in another place of the graph from `tick` on."""
     scenario, row = change.after, change.after.uav_ids.index(change.uav)

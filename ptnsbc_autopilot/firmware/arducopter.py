@@ -58,10 +58,7 @@ class ArduCopter(FlightController):
     earth_radius_m = ARDUPILOT_RADIUS_M
     drag_1_s = 0.2  # of its simulated quadrotor: the momentum drag of the rotors
     ready_s = (20.0, 40.0)
-    rates_hz = (
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
-    )
+    rates_hz = ({mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0})
 
     def default_parameters(self) -> AutopilotParameters:
         """ArduCopter's, with the learned hover thrust."""

@@ -14,12 +14,7 @@ import numpy as np
 
 from ptnsbc_autopilot.firmware import setpoints
 from ptnsbc_autopilot.physics import airframe, targets
-from ptnsbc_autopilot.physics.frames import (
-    integrate_rates,
-    rotate_heading,
-    world_swap,
-    yaw_swap,
-)
+from ptnsbc_autopilot.physics.frames import integrate_rates, rotate_heading, world_swap, yaw_swap
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
 

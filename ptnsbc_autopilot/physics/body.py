@@ -8,19 +8,8 @@ import numpy as np
 
 from ptnsbc_autopilot.physics import airframe
 from ptnsbc_autopilot.physics.airframe import PHYSICS_HZ, AirframeState, LoopGains
-from ptnsbc_autopilot.physics.frames import (
-    PX4_HOME,
-    Geodetic,
-    Quaternion,
-    attitude_swap,
-    euler_of,
-)
-from ptnsbc_autopilot.physics.navigation import (
-    QUALITIES,
-    UPDATE_HZ,
-    Navigation,
-    ReceiverAccuracy,
-)
+from ptnsbc_autopilot.physics.frames import PX4_HOME, Geodetic, Quaternion, attitude_swap, euler_of
+from ptnsbc_autopilot.physics.navigation import QUALITIES, UPDATE_HZ, Navigation, ReceiverAccuracy
 from ptnsbc_core.kernel import kernel_list
 from ptnsbc_core.types import PLANT_QUADROTOR, Array
 from ptnsbc_sim.plants.contract import PlantConfig

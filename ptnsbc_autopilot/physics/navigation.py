@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_autopilot.physics.airframe import (
-    ERROR_POSITION,
-    ERROR_SIZE,
-    ERROR_VELOCITY,
-    ERROR_YAW,
-)
+from ptnsbc_autopilot.physics.airframe import ERROR_POSITION, ERROR_SIZE, ERROR_VELOCITY, ERROR_YAW
 from ptnsbc_core.types import Array
 
 UPDATE_HZ = 25

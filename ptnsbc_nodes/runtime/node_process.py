@@ -256,10 +256,7 @@ def ros_context(
 
 @contextmanager
 def plain_node(
-    name: str,
-    argv: Sequence[str] = (),
-    namespace: str = "",
-    domain: int | None = None,
+    name: str, argv: Sequence[str] = (), namespace: str = "", domain: int | None = None
 ) -> Iterator[tuple[Node, Executor]]:
     """A node without services and its executor, in a context of its own, which `argv` and `domain` are for."""
     context = Context()
@@ -281,11 +278,7 @@ def plain_node(
 
 
 @contextmanager
-def ros_node(
-    name: str,
-    namespace: str,
-    scenario: Scenario | None = None,
-) -> Iterator[Node]:
+def ros_node(name: str, namespace: str, scenario: Scenario | None = None) -> Iterator[Node]:
     """One node in a context that is there.
 
     With a `scenario` it has the parameters of `fix_parameters`; without one it has none of the services that slow down

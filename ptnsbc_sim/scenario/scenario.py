@@ -16,13 +16,7 @@ from ptnsbc_sim.scenario.approach.deadline import auto_deadline
 from ptnsbc_sim.scenario.fields import replaced
 from ptnsbc_sim.scenario.gains import gain_defaults
 from ptnsbc_sim.scenario.mission.completion import resolved, with_first_leg
-from ptnsbc_sim.scenario.mission.legs import (
-    LandLeg,
-    ScheduledLeg,
-    TakeOffLeg,
-    Word,
-    schedule,
-)
+from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, TakeOffLeg, Word, schedule
 from ptnsbc_sim.scenario.mission.route import with_route
 from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,

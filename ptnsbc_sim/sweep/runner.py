@@ -226,11 +226,7 @@ def cores() -> int:
 
 
 def run(
-    plan: SweepPlan,
-    folder: Path,
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    plan: SweepPlan, folder: Path, *, workers: int | None = None, progress: Progress | None = None
 ) -> SweepResult:
     """Fly a sweep, or what is missing of it.
 

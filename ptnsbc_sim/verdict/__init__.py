@@ -5,11 +5,4 @@ from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.track import Track
 from ptnsbc_sim.verdict.verdict import Verdict, verdict_on
 
-__all__ = [
-    "Recording",
-    "Separation",
-    "Track",
-    "Verdict",
-    "VerdictError",
-    "verdict_on",
-]
+__all__ = ["Recording", "Separation", "Track", "Verdict", "VerdictError", "verdict_on"]

@@ -301,9 +301,7 @@ def _only(rows: Array) -> Array:
 
 
 def _curves_of(
-    flight: FlightView,
-    tracks: Mapping[int, Track],
-    size: Callable[[Array], Array] = _only,
+    flight: FlightView, tracks: Mapping[int, Track], size: Callable[[Array], Array] = _only
 ) -> list[Curve]:
     """The curves of the UAVs that have samples in the time shown."""
     points = {uav: _samples(flight, tracks.get(uav), size) for uav in flight.uavs}

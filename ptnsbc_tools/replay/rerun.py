@@ -419,11 +419,7 @@ def _with_taken(bag: Bag, scenario: Scenario) -> Scenario:
 
 
 def _accounts(
-    bag: Bag,
-    scenario: Scenario,
-    uavs: Sequence[int],
-    realtime: bool,
-    progress: bool | None = False,
+    bag: Bag, scenario: Scenario, uavs: Sequence[int], realtime: bool, progress: bool | None = False
 ) -> Accounts:
     state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)

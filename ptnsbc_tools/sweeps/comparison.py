@@ -189,11 +189,7 @@ def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
 
 
 def compare(
-    a: FlightTable,
-    others: Mapping[str, FlightTable],
-    *,
-    margin_m: float,
-    seed: int = 0,
+    a: FlightTable, others: Mapping[str, FlightTable], *, margin_m: float, seed: int = 0
 ) -> SweepComparison:
     """Compare each of the others with A; an error that grew by less than the margin is not worse.
 

@@ -60,10 +60,7 @@ FAULTS: Mapping[str, FaultRule] = {
         MESSAGES, "the UAV sends states that are no numbers; receivers refuse them", headless=True
     ),
     "jump": FaultRule(
-        POSITION,
-        "the UAV measures its position with an offset",
-        "offset_m",
-        headless=True,
+        POSITION, "the UAV measures its position with an offset", "offset_m", headless=True
     ),
     "kill": FaultRule(
         PROCESS, "SIGKILL; the vehicle of a UAV stays in place", lasts=False, headless=True
