@@ -339,8 +339,12 @@ def _mavlink(file: ScenarioFile) -> Problems:
     for link in links.values():
         known = link.autopilot != "ros" or link.ros is not None
         yield from unless(known, "ros", "missing", "topics, for mavlink.autopilot: ros")
-    for what in ("sysid", "connect", "signing_key"):
-        values = {uav: getattr(link, what) for uav, link in links.items()}
+    for uav in file.ros.vehicles if file.ros else ():
+        yield from unless(uav in ids, f"ros.vehicles.{uav}", "no such UAV", one_of(ids))
+    keys = "ros.name ros.output mavlink.sysid mavlink.connect mavlink.signing_key"
+    for name, what in (key.split(".") for key in keys.split()):
+        of = {uav: link.ros if name == "ros" else link for uav, link in links.items()}
+        values = {uav: getattr(vehicle, what, None) for uav, vehicle in of.items()}
         own = {uav: str(value) for uav, value in values.items() if value is not None}
         # Whichever address it listens at, a port has one listener.
         ports = [
@@ -349,7 +353,7 @@ def _mavlink(file: ScenarioFile) -> Problems:
         for index, first in _repeated(ports):
             uav, other = list(own)[index], list(own)[first]
             value = f"{own[uav]}: duplicate of that of UAV {other}"
-            yield Problem(f"mavlink.vehicles.{uav}.{what}", value, "every vehicle to have its own")
+            yield Problem(f"{name}.vehicles.{uav}.{what}", value, "every vehicle to have its own")
     low, high = fence.box_min_m, fence.box_max_m
     if (low is None) != (high is None):
         yield Problem(

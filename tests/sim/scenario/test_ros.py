@@ -47,7 +47,10 @@ def test_mavlink_and_ros_fly_side_by_side():
         ("lab_4", {"ros.pose_type": "std_msgs/msg/Empty"}, 'ros.pose_type: "std_msgs/msg/Empty"'),
         ("lab_4", {"ros.output_type": "Twist"}, "ros.output_type: "),
         ("lab_4", {"ros.services": {"start": []}}, "ros.services"),
-        ("lab_4", {"ros.vehicles": {1: {"name": "a"}, 2: {"name": "a"}}}, "duplicate of that of UAV 1"),
+        ("lab_4", {"ros.vehicles": {1: {"name": "a"}, 2: {"name": "a"}}},
+         r"ros.vehicles.2.name: a: duplicate of that of UAV 1"),
+        ("lab_4", {"ros.output": "/cmd"}, r"ros.vehicles.2.output: /cmd: duplicate of that of UAV 1"),
+        ("lab_4", {"ros.vehicles": {7: {"name": "a"}}}, "ros.vehicles.7: no such UAV"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_with_its_key(name, keys, why):
