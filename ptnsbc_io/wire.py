@@ -242,7 +242,7 @@ def decode_odometry(buf: bytes) -> Stamped:
 def decode_pose(buf: bytes) -> Stamped:
     """Stamp [ns] and (7,) position x y z [m], quaternion x y z w of a PoseStamped with any frame name."""
     order, stamp_ns, at = _after_frames(buf, _POSE_STAMPED, 1, _POSE)
-    return _finite(stamp_ns, _floats(bytearray(buf[at : at + _POSE]), order))
+    return Stamped(stamp_ns, _floats(bytearray(buf[at : at + _POSE]), order))
 
 
 def decode_transform(buf: bytes, child_frame_id: str) -> Stamped | None:
@@ -252,14 +252,8 @@ def decode_transform(buf: bytes, child_frame_id: str) -> Stamped | None:
         stamp_ns, _parent, child = reader.stamp(), reader.text(), reader.text()
         pose = reader.numbers("ddddddd", 8)
         if child == child_frame_id:
-            return _finite(stamp_ns, np.array(pose))
+            return Stamped(stamp_ns, np.array(pose))
     return None
-
-
-def _finite(stamp_ns: int, pose: Floats) -> Stamped:
-    if not np.isfinite(pose).all():
-        raise WireError(f"pose {pose}: expected finite numbers")
-    return Stamped(stamp_ns, pose)
 
 
 # std_msgs/Int64MultiArray and Float64MultiArray: rows of numbers whose layout names each of them.

@@ -1,9 +1,10 @@
 """A PX4 behind the agent of uXRCE-DDS: px4_msgs below `/NAME/fmu`, in NED and FRD, with times of the agent in us."""
 
-from importlib import import_module
+import re
 from math import nan
 
 import numpy as np
+from px4_msgs import msg as px4_msgs
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_io.mavlink import frames
@@ -24,78 +25,73 @@ COMMANDS = {  # VEHICLE_CMD and its first two parameters
 }  # fmt: skip
 
 
+def topic_of(kind):
+    """VehicleOdometry: vehicle_odometry."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind).lower()
+
+
+def in_ned(vector):
+    """(3,) as PX4 takes it; what is None is left to it."""
+    return [nan] * 3 if vector is None else frames.vector_enu_to_ned(vector).tolist()
+
+
 class Px4(RosLink):
     """One PX4; it climbs by setpoints, and says its state itself."""
 
     def __init__(self, node, vehicle, height_m):
         super().__init__()
-        self.node, self.topics, self.system = node, f"/{vehicle.name}/fmu", 1
-        self.hear("VehicleOdometry", "vehicle_odometry", self.on_odometry)
-        self.hear("VehicleStatus", "vehicle_status", self.on_status)
-        self.hear("VehicleLandDetected", "vehicle_land_detected", self.on_landed)
-        self.keep = self.publisher("OffboardControlMode", "offboard_control_mode")
-        self.setpoint = self.publisher("TrajectorySetpoint", "trajectory_setpoint")
-        self.command_to = self.publisher("VehicleCommand", "vehicle_command")
+        self.node, self.fmu, self.system = node, f"/{vehicle.name}/fmu", 1
+        self.source, self.publishers = f"{self.fmu}/out", {}
+        self.hear("VehicleOdometry", self.on_odometry)
+        self.hear("VehicleStatus", self.on_status)
+        self.hear("VehicleLandDetected", lambda message: self.report(landed=message.landed))
 
-    def hear(self, kind, topic, take):
+    def hear(self, kind, take):
         """Subscribe to a topic; from the second version of its message on its name ends in that."""
-        found = getattr(import_module("px4_msgs.msg"), kind)
+        found = getattr(px4_msgs, kind)
         version = getattr(found, "MESSAGE_VERSION", 0)
-        name = f"{self.topics}/out/{topic}" + (f"_v{version}" if version else "")
-        self.node.create_subscription(found, name, take, keep_last(10, reliable=False))
+        topic = f"{self.fmu}/out/{topic_of(kind)}" + (f"_v{version}" if version else "")
+        self.node.create_subscription(found, topic, take, keep_last(10, reliable=False))
 
-    def publisher(self, kind, topic):
-        """A function that publishes a message of these fields, with the time."""
-        found = getattr(import_module("px4_msgs.msg"), kind)
-        out = self.node.create_publisher(
-            found, f"{self.topics}/in/{topic}", keep_last(1, reliable=True)
-        )
-
-        def publish(**fields):
-            now_us = self.node.get_clock().now().nanoseconds // 1000
-            out.publish(found(timestamp=now_us, **fields))
-
-        return publish
+    def tell(self, kind, **fields):
+        """Publish a message of these fields, with the time."""
+        found, topic = getattr(px4_msgs, kind), f"{self.fmu}/in/{topic_of(kind)}"
+        if kind not in self.publishers:
+            newest = keep_last(1, reliable=True)
+            self.publishers[kind] = self.node.create_publisher(found, topic, newest)
+        now_us = self.node.get_clock().now().nanoseconds // 1000
+        self.publishers[kind].publish(found(timestamp=now_us, **fields))
 
     def fly(self, position, velocity, acceleration, yaw):
         """OffboardControlMode and TrajectorySetpoint; where a velocity is wanted it leads, as by MAVLink."""
         position = position if velocity is None else None
         given = {"position": position, "velocity": velocity, "acceleration": acceleration}
-        self.keep(**{name: value is not None for name, value in given.items()})
-        ned = {
-            name: [nan] * 3 if value is None else frames.vector_enu_to_ned(value).tolist()
-            for name, value in given.items()
-        }
+        ned = {name: in_ned(vector) for name, vector in given.items()}
+        self.tell("OffboardControlMode", **{name: v is not None for name, v in given.items()})
         heading = frames.yaw_enu_to_ned(yaw)
-        self.setpoint(**ned, jerk=[nan] * 3, yaw=heading, yawspeed=nan)
+        self.tell("TrajectorySetpoint", **ned, jerk=[nan] * 3, yaw=heading, yawspeed=nan)
 
     def request(self, request):
         """A VehicleCommand; its effect shows in the vehicle's state."""
         if request in COMMANDS:
-            command, first, second = COMMANDS[request]
+            numbers = dict(zip(("command", "param1", "param2"), COMMANDS[request], strict=True))
             to = {"target_system": self.system, "target_component": 1, "from_external": True}
-            self.command_to(command=command, param1=first, param2=second, param4=nan, **to)
+            self.tell("VehicleCommand", **numbers, **to, param4=nan)
 
     def on_odometry(self, message):
-        """VehicleOdometry."""
-        wxyz, velocity, rates = (
-            np.array(v, float) for v in (message.q, message.velocity, message.angular_velocity)
-        )
+        """VehicleOdometry; what is not finite is refused by `pose`."""
+        given = (message.q, message.position, message.velocity, message.angular_velocity)
+        wxyz, place, velocity, rates = (np.array(numbers, float) for numbers in given)
         quaternion = frames.quaternion_ned_frd_to_enu_flu(wxyz)
         body = frames.vector_frd_to_flu(velocity)
         if message.velocity_frame != BODY:
             body = rotation_from_quaternion(quaternion).T @ frames.vector_ned_to_enu(velocity)
-        place = frames.vector_ned_to_enu(np.array(message.position, float))
-        if message.pose_frame == NED and np.isfinite([*place, *quaternion, *body, *rates]).all():
-            turn = frames.vector_frd_to_flu(rates)
-            self.pose(1000 * message.timestamp_sample, place, quaternion, body, turn)
+        if message.pose_frame == NED:
+            turn, position = frames.vector_frd_to_flu(rates), frames.vector_ned_to_enu(place)
+            self.pose(1000 * message.timestamp_sample, position, quaternion, body, turn)
 
     def on_status(self, message):
         """VehicleStatus."""
         self.system = message.system_id
         mode = MODES.get(message.nav_state, FlightMode.OTHER)
         self.report(armed=message.arming_state == ARMED, mode=mode)
-
-    def on_landed(self, message):
-        """VehicleLandDetected."""
-        self.report(landed=message.landed)

@@ -217,9 +217,9 @@ class MavlinkLink:
         """Wanted messages that carry nothing new at present: they are not decoded either."""
         self.resumed = False
         """True if another bridge has left the vehicle in flight; one of MAVLink says its state itself."""
-        self.received = 0
-        self.sent = 0
-        self.unsent = 0
+        self.missing = ""
+        """Why the vehicle cannot be flown, where the link itself knows; a flight controller says it by messages."""
+        self.received = self.sent = self.unsent = 0
 
     @property
     def signed(self) -> bool:

@@ -183,7 +183,7 @@ class Bridge:
 
     def _tick(self, now_s: float) -> None:
         procedure, stream, publisher = self.procedure, self.stream, self.state_publisher
-        inputs = self.ports.inputs
+        inputs, self.vehicle.missing = self.ports.inputs, self.link.missing
         data, inputs.setpoint = inputs.setpoint, None
         answered = data is not None and publisher.controller.on_message(data)
         self.watch.reference.update(inputs)

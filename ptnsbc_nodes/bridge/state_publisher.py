@@ -85,6 +85,8 @@ class StatePublisher:
     def fault(self, now_s: float) -> str:
         """The reason why the vehicle's state is not published; empty when it is."""
         vehicle = self._vehicle
+        if vehicle.missing:
+            return vehicle.missing
         silence = vehicle.heartbeat_age_s(now_s)
         if silence > _HEARTBEAT_S:
             return f"no heartbeat for {silence:.1f} s"

@@ -324,6 +324,7 @@ class VehicleMonitor:
         self.autopilot = autopilot
         self.heartbeat_s: float | None = None
         self.wrong_vehicle = ""  # why this is not the expected vehicle
+        self.missing = ""  # what its link knows to be missing
         self.mode_name = ""
         self.armed = False
         self._state: int | None = None  # MAV_STATE

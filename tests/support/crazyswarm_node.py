@@ -81,6 +81,7 @@ class Server:
     """A node in the place of the bridge's; it answers every call at once, or the newest one when it is told to."""
 
     answers = True
+    offered = ("tf2_msgs/msg/TFMessage",)  # types of the poses
 
     def __init__(self):
         self.sent, self.called, self.pose, self.output = [], [], "", ""
@@ -91,7 +92,10 @@ class Server:
 
     def create_publisher(self, _kind, topic, *_rest, **_more):
         self.output = topic
-        return SimpleNamespace(publish=self.sent.append)
+        return SimpleNamespace(publish=self.sent.append, get_subscription_count=lambda: 1)
+
+    def get_publishers_info_by_topic(self, _topic):
+        return [SimpleNamespace(topic_type=one) for one in self.offered]
 
     def create_client(self, _kind, name):
         return _Client(name, self)

@@ -6,6 +6,7 @@ No bytes of MAVLink are made of them.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -29,6 +30,8 @@ from ptnsbc_nodes.comm.door import Refusals
 _HEARTBEAT_S, _GROUND_M, _STILL_M_S = 1.0, 0.15, 0.2  # it is down within this of where it was armed
 _UNKNOWN = [float("nan")] * 21  # covariances
 _MOST_WAITING = 200  # messages; a flood must not delay the setpoint stream
+_SILENT_S, _LONGEST_S = 0.5, 1 / 20  # between two poses: without one, and with too few of them
+_LATE, _OF_MEAN, _OFF_NORM = 1.25, 0.1, 0.05  # a busy computer is late at times
 _IGNORED = tuple(
     getattr(mavlink, f"POSITION_TARGET_TYPEMASK_{axis}_IGNORE") for axis in ("X", "VX", "AX")
 )
@@ -42,6 +45,8 @@ class RosLink:
 
     signed, peer, duplicate_sysid_s, resumed = False, None, None, False
     ignored: frozenset[int] = frozenset()
+    source = "the vehicle"
+    """Where its poses come from, for messages."""
 
     def __init__(self, steady_s: Callable[[], float] = time.monotonic) -> None:
         self.received = self.sent = self.unsent = 0
@@ -55,7 +60,10 @@ class RosLink:
         self._ground_m = 0.0  # height of the place of arming
         self._sync, self._filter = TimeSync(), VelocityFilter()
         self._arrived, self._waiting = threading.Event(), deque[Any](maxlen=_MOST_WAITING)
+        self.wait = self._arrived.wait  # until the vehicle has reported something, or for a time
         self._told, self._next_s = (False, self.mode, False), 0.0
+        self.missing = ""  # why it cannot be flown: what it lacks before it is armed, and its pose
+        self._lacks, self._posed_s, self._period_s = "", steady_s(), 0.0
 
     def fly(self, position: Given, velocity: Given, acceleration: Given, yaw: float) -> None:
         """Send a setpoint (3,) [m, m/s, m/s^2], ENU, with a heading [rad]; what is None is left to the vehicle."""
@@ -66,6 +74,12 @@ class RosLink:
     def alive(self) -> bool:
         """True if the vehicle would hear a request now."""
         return True
+
+    def lacks(self) -> str:
+        """What keeps it from being armed, asked once a second; empty when nothing does."""
+        if self._period_s <= _LATE * _LONGEST_S:
+            return ""
+        return f"{1 / self._period_s:.1f} poses a second: expected {1 / _LONGEST_S:g} or more"
 
     @property
     def down(self) -> bool:
@@ -80,7 +94,13 @@ class RosLink:
 
         `moving`: velocity (3,) [m/s] and rates (3,) [rad/s] of the body; without them the velocity is estimated.
         """
+        numbers = np.concatenate((position, quaternion, *moving))
+        if not (np.isfinite(numbers).all() and abs(math.hypot(*quaternion) - 1.0) < _OFF_NORM):
+            why = f"{numbers}: expected finite numbers, and a quaternion of norm 1"
+            return self.refusals.add(self.source, why)
         now_s = self._steady_s()
+        self._period_s += _OF_MEAN * (now_s - self._posed_s - self._period_s)
+        self._posed_s, self.refusals.newest = now_s, ""
         stamp_s = seconds(stamp_ns) if stamp_ns else now_s
         # Its clock is as far off as the fastest message says.
         self._sync.on_boot_time(stamp_s, now_s)
@@ -90,14 +110,14 @@ class RosLink:
             moving = (rotation_from_quaternion(quaternion).T @ velocity, np.zeros(3))
         self.position, self.velocity = position, moving[0]
         self._ground_m = self._ground_m if self.armed else float(position[2])
-        numbers = (
+        told = (
             *frames.vector_enu_to_ned(position).tolist(),
             frames.quaternion_enu_flu_to_ned_frd(quaternion).tolist(),
             *(number for vector in moving for number in frames.vector_flu_to_frd(vector).tolist()),
         )
         age_us = max(round(1e6 * (sampled_s - self._began_s)), 0)
         axes = mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD
-        self.report(mavlink.MAVLink_odometry_message(age_us, *axes, *numbers, _UNKNOWN, _UNKNOWN))
+        self.report(mavlink.MAVLink_odometry_message(age_us, *axes, *told, _UNKNOWN, _UNKNOWN))
 
     def report(self, message: Any = None, **state: Any) -> None:
         """A message of MAVLink in the vehicle's name, or its state by its own word: `armed`, `landed`, `mode`."""
@@ -122,13 +142,12 @@ class RosLink:
         """A text of the vehicle, as why it has refused a request."""
         self.report(mavlink.MAVLink_statustext_message(severity, text.encode()))
 
-    def wait(self, timeout_s: float) -> None:
-        """Return when the vehicle has reported something, at the latest after `timeout_s`."""
-        self._arrived.wait(max(timeout_s, 0.0))
-
     def poll(self, now_s: float) -> Iterator[Any]:
         """The reports of the vehicle, and a heartbeat every second and with every change."""
         self._arrived.clear()
+        silence = self.refusals.newest or f"nothing on {self.source}"
+        silent = now_s - self._posed_s > _SILENT_S
+        self.missing = self._lacks or f"no position from the vehicle: {silence}" * silent
         if self.resumed:
             self.armed, self.mode, self.resumed = True, FlightMode.OWN, False
         while self._waiting:
@@ -138,6 +157,7 @@ class RosLink:
         if now_s < self._next_s and state == self._told:
             return
         self._told, self._next_s = state, now_s + _HEARTBEAT_S
+        self._lacks = "" if armed else self.lacks()
         if self.alive():
             base = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
             who, standby = (mavlink.MAV_TYPE_QUADROTOR, ROS.number), mavlink.MAV_STATE_STANDBY

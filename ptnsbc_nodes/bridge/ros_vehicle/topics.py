@@ -38,8 +38,11 @@ class TopicLink(RosLink):
     def __init__(self, node: Node, vehicle: RosVehicle, height_m: float) -> None:
         """`height_m`: of the take-off. Raises what says that a type or a field is not there."""
         super().__init__()
-        self._node, self._height_m, self._ned = node, height_m, vehicle.frame == "ned"
+        self._node, self._vehicle, self._height_m = node, vehicle, height_m
+        self._ned, of_many = vehicle.frame == "ned", vehicle.pose_type.endswith("TFMessage")
+        self.source = f"{vehicle.pose} to {vehicle.name}" if of_many else vehicle.pose
         self._yaw, self._not_again_s = 0.0, dict[CommandRequest, float]()
+        self._unanswered: Any = None
         decoders: Mapping[str, Callable[[bytes], Stamped | None]] = {
             "nav_msgs/msg/Odometry": OdometryDecoder(),
             "tf2_msgs/msg/TFMessage": lambda data: decode_transform(data, vehicle.name),
@@ -70,6 +73,20 @@ class TopicLink(RosLink):
         """True if somebody publishes its pose, or offers its services."""
         servers = (client for calls in self._calls.values() for client, _ in calls)
         return self._pose.get_publisher_count() > 0 or any(s.service_is_ready() for s in servers)
+
+    def lacks(self) -> str:
+        """Who is not there, under which name; then whether its poses are enough."""
+        pose, kind = self._vehicle.pose, self._vehicle.pose_type
+        offered = {one.topic_type for one in self._node.get_publishers_info_by_topic(pose)}
+        if offered - {kind}:
+            return f"{pose} is {', '.join(offered - {kind})}: expected {kind}"
+        if not self._publisher.get_subscription_count():
+            return f"nobody hears {self._vehicle.output} as {self._vehicle.output_type}"
+        if "land" not in self._calls:
+            return "ros.services has no land"
+        clients = (client for calls in self._calls.values() for client, _ in calls)
+        silent = [client.srv_name for client in clients if not client.service_is_ready()]
+        return f"nobody offers {', '.join(silent)}" if silent else super().lacks()
 
     def fly(self, position: Given, velocity: Given, acceleration: Given, yaw: float) -> None:
         """Publish a setpoint; a position is flown to by a velocity where the messages have no position."""
@@ -115,6 +132,9 @@ class TopicLink(RosLink):
         ready = client.service_is_ready()
         self.silent = ready and request is CommandRequest.LAND
         if ready:
+            if client is self._unanswered:
+                self.say(f"{request.value}: {client.srv_name}: no answer")
+            self._unanswered = client
             self._not_again_s[request] = time.monotonic() + _ANSWER_S
             answer = client.call_async(values)
             answer.add_done_callback(partial(self._on_answer, request, calls[1:]))
@@ -122,6 +142,7 @@ class TopicLink(RosLink):
             self.say(f"{request.value}: {client.srv_name}: nobody offers this service")
 
     def _on_answer(self, request: CommandRequest, rest: Sequence[Any], answer: Any) -> None:
+        self._unanswered = None
         result, takes_off = answer.result(), request is CommandRequest.TAKEOFF
         self._not_again_s[request] = time.monotonic() + _TAKE_OFF_S * takes_off
         if not getattr(result, "success", True):

@@ -86,6 +86,43 @@ def test_stamps_of_another_clock_count_from_the_fastest_message(link, clock):
     assert clock[0] - 100.0 - 1e-6 * message.time_usec == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize(
+    ("position", "quaternion"),
+    [((np.nan, 0, 0), TILTED), ((0, 0, np.inf), TILTED), ((0, 0, 0), np.zeros(4))],
+)
+def test_a_pose_that_is_none_is_refused_and_said(link, clock, position, quaternion):
+    link.source = "/red/pose"
+    link.pose(0, np.array(position, float), quaternion)
+    clock[0] += 0.6
+    link.pose(0, np.array(position, float), quaternion)
+    told(link, clock[0])
+    assert link.counts == {"/red/pose": 2}
+    assert link.missing.startswith("no position from the vehicle: /red/pose: [")
+    for _ in range(9):  # the estimate of the velocity has not seen it
+        clock[0] += 0.02
+        link.pose(0, np.ones(3), TILTED)
+    told(link, clock[0])
+    assert (link.missing, link.velocity.tolist()) == ("", [0, 0, 0])
+    clock[0] += 0.6
+    told(link, clock[0])
+    assert link.missing == "no position from the vehicle: nothing on /red/pose"
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "said"), [(30, ""), (5, "5.0 poses a second: expected 20 or more")]
+)
+def test_too_few_poses_keep_it_from_being_armed_and_not_from_flying(link, clock, rate_hz, said):
+    for _ in range(80):
+        clock[0] += 1 / rate_hz
+        link.pose(0, np.zeros(3), TILTED)
+        told(link, clock[0])
+    assert link.missing == said
+    link.done(CommandRequest.ARM)
+    for _ in range(2):
+        told(link, clock[0])
+    assert link.missing == ""
+
+
 def test_it_tells_of_every_change_at_once_and_once_a_second(link):
     vehicle = VehicleMonitor(ROS)
 
@@ -189,7 +226,7 @@ def test_a_pose_that_stops_ends_the_setpoints_and_the_vehicle_is_told_to_land(fl
     victim = flying.uavs[3]
     victim.mass.told = False
     flying.run(1.0, until=lambda: victim.step is Step.FAILSAFE)
-    assert "no position from the vehicle" in victim.bridge.procedure.fault
+    assert "no position from the vehicle: nothing on" in victim.bridge.procedure.fault
     before = victim.mass.setpoints
     flying.run(2.0, until=lambda: victim.step is Step.LAND)
     assert victim.mass.setpoints == before

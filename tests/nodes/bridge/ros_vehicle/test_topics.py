@@ -110,11 +110,23 @@ def test_what_is_no_pose_is_refused_and_counted(opened, heard):
     message.pose.position.x = math.nan
     heard.publish(message, "/uav1/pose", lambda: link.counts)
     assert link.counts == {"/uav1/pose": 1}
-    assert (
-        link.refusals.newest
-        == "/uav1/pose: pose [nan  0.  0.  0.  0.  0.  1.]: expected finite numbers"
-    )
+    assert link.refusals.newest.startswith("/uav1/pose: [nan  0.  0.  0.  0.  0.  1.]: expected")
     assert not link.position.any()
+
+
+def test_what_is_not_there_is_named_before_it_is_armed(ros, opened):
+    land = {"land": [{"service": "/{name}/land"}]}
+    link, other = opened(services=land), ros.node("vehicle")
+
+    def told(words, by=link):
+        ros.spin_until(lambda: by.lacks() == words)
+
+    told("nobody hears /uav1/cmd_vel as geometry_msgs/msg/TwistStamped")
+    other.create_subscription(TwistStamped, "/uav1/cmd_vel", print, 10)
+    told("nobody offers /uav1/land")
+    other.create_service(Trigger, "/uav1/land", lambda _, response: response)
+    told("")
+    told("ros.services has no land", opened(services={}))
 
 
 def test_setpoints_are_twists_and_a_position_is_flown_to_by_a_velocity(ros, opened, heard):
@@ -317,6 +329,24 @@ def test_stop_with_kill_stops_the_motors_of_a_crazyflie(crazyflie):
     link, server = crazyflie
     link.request(CommandRequest.KILL)
     assert [name for name, _ in server.called] == ["/cf2/emergency"]
+
+
+def test_poses_of_another_type_are_named_and_so_is_the_transform_that_is_awaited(crazyflie):
+    link, server = crazyflie
+    assert (link.lacks(), link.source) == ("", "/tf to cf2")
+    server.offered = ("geometry_msgs/msg/PoseStamped",)
+    assert link.lacks() == "/tf is geometry_msgs/msg/PoseStamped: expected tf2_msgs/msg/TFMessage"
+
+
+def test_a_service_that_does_not_answer_is_named(crazyflie, monkeypatch):
+    link, server = crazyflie
+    server.answers, now_s = False, [100.0]
+    monkeypatch.setattr("ptnsbc_nodes.bridge.ros_vehicle.topics.time.monotonic", lambda: now_s[0])
+    for now_s[0] in (100.0, 101.0, 102.5):
+        link.request(CommandRequest.TAKEOFF)
+    assert [name for name, _ in server.called] == ["/cf2/takeoff"] * 2
+    (text,) = [m.text for m in link.poll(0.0) if m.get_type() == "STATUSTEXT"]
+    assert text == "take off: /cf2/takeoff: no answer"
 
 
 def test_no_setpoint_follows_the_first_call_of_a_landing(crazyflie):
