@@ -49,28 +49,18 @@ def _parts(kind: Any) -> tuple[Any, ...] | None:
     return kind[1:] if is_tuple else None
 
 
-class _Layout(NamedTuple):
-    """A value in memory, as numba's models have it."""
-
-    codes: str  # of `struct`, with what is left empty
-    align: int
-    numbers: struct.Struct
-
-
 @cache
-def _layout(kind: Any) -> _Layout:
+def _layout(kind: Any) -> tuple[str, int]:
+    """The numbers of a value in memory, as numba's models have it, by the codes of `struct`; and its alignment."""
     parts, codes, align = _parts(kind), "", 1
-    if parts is not None:
-        for part in map(_layout, parts):
-            codes += f"{-struct.calcsize('=' + codes) % part.align}x{part.codes}"
-            align = max(align, part.align)
-        codes += f"{-struct.calcsize('=' + codes) % align}x"
-    elif isinstance(kind, tuple) and kind[0] is np.ndarray:
-        codes, align = f"{5 + 2 * kind[2]}q", 8
-    else:
-        codes = {bool: "?", float: "d"}.get(kind, "q")
-        align = struct.calcsize("=" + codes)
-    return _Layout(codes, align, struct.Struct("=" + codes))
+    if parts is None:
+        code = {bool: "?", float: "d"}.get(kind, "q")
+        count = 5 + 2 * kind[2] if isinstance(kind, tuple) and kind[0] is np.ndarray else 1
+        return count * code, struct.calcsize("=" + code)
+    for inner, step in map(_layout, parts):
+        codes += f"{-struct.calcsize('=' + codes) % step}x{inner}"
+        align = max(align, step)
+    return f"{codes}{-struct.calcsize('=' + codes) % align}x", align
 
 
 def _of_array(array: Any) -> tuple[int, ...]:
@@ -115,7 +105,7 @@ class RecordList:
     def __init__(self, items: Sequence[Any]) -> None:
         self.example, self.kind = items[0], kind_of(items[0])
         self._arrays: list[list[Any]] = [[] for _ in items]
-        self._numbers = _layout(self.kind).numbers
+        self._numbers = struct.Struct("=" + _layout(self.kind)[0])
         self._block = np.zeros((len(items), self._numbers.size), dtype=np.uint8)
         for row, item in enumerate(items):
             self._write(row, item, partial(_keep, self._arrays[row]))
@@ -129,9 +119,8 @@ class RecordList:
         return _read(self.kind, numbers, iter(self._arrays[row]))
 
     def __reduce__(self) -> Any:
-        return type(self), (
-            [self[row] for row in range(len(self))],
-        )  # the addresses in the block are those of these arrays
+        items = [self[row] for row in range(len(self))]
+        return type(self), (items,)  # the addresses in the block are those of these arrays
 
     def __setitem__(self, row: int, item: Any) -> None:
         self._write(row, item, partial(_copy, iter(self._arrays[row])))

@@ -1,8 +1,4 @@
-"""Headless flight: the whole swarm in one process, by the same kernels and the same tick as the processes.
-
-At tick k a UAV holds its own odometry of tick k and its neighbours' messages of tick k-1; see
-docs/lockstep.md. Nothing here is a law.
-"""
+"""Headless flight: the whole swarm in one process, by the same kernels and the same tick as the processes."""
 
 from __future__ import annotations
 
@@ -19,7 +15,7 @@ from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, AgentSta
 from ptnsbc_sim.disturbances.build import Disturbances, VehicleDisturbances, flight_disturbances
 from ptnsbc_sim.disturbances.links import last_received_by
 from ptnsbc_sim.plants.build import plant_config, start_states
-from ptnsbc_sim.plants.contract import PlantConfig, no_waves
+from ptnsbc_sim.plants.contract import no_waves
 from ptnsbc_sim.plugins.loop import loop_of
 from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
@@ -83,11 +79,8 @@ def swarm_of(
 ) -> SwarmState:
     """The UAVs of a scenario before the first tick; `like`: those of others that differ in starts only, to fly anew."""
     ids = scenario.uav_ids
-    plants: MutableSequence[PlantConfig]
-    if like is None or disturbances is not None:  # gusts are written into the wind of a plant
-        plants = kernel_list([plant_config(scenario, uav_id) for uav_id in ids])
-    else:
-        plants = like.plants
+    plants = None if like is None or disturbances is not None else like.plants  # winds change
+    plants = plants or kernel_list([plant_config(scenario, uav_id) for uav_id in ids])
     bodies = start_states(scenario, plants)
     seen = measure_all(bodies, plants)
     if disturbances is not None:

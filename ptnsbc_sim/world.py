@@ -41,11 +41,6 @@ def _advance_row(
 
 
 @kernel
-def _measure_row(states: Array, row: int, plants: Sequence[PlantConfig]) -> Array:
-    return odometry(states[row], plants[row])
-
-
-@kernel
 def measure_all(states: Array, plants: Sequence[PlantConfig]) -> Array:
     """Odometry vectors (N, 13) of all plant states (N, 17)."""
     out = np.empty((states.shape[0], ODOMETRY_SIZE))
@@ -149,7 +144,7 @@ class World:
             self._plants[row] = plant
         if plugins.plant is not None and wrench is not None:
             plugins.advance(self._states[row], wrench, tick, self._plants[row])
-            self._truth[row] = _measure_row(self._states, row, self._plants)
+            self._truth[row] = measure_all(self._states, self._plants)[row]
         else:
             self._truth[row] = _advance_row(
                 self._states,

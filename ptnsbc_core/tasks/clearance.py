@@ -29,6 +29,7 @@ from ptnsbc_core.tasks.near_constraints import (
     is_stale,
     landmarks_of,
     side_of,
+    surely_kept,
     tangent,
     update_memory,
 )
@@ -130,6 +131,8 @@ def _unconstrained(
     if any_used(view.memory):
         return False
     for m in range(view.near.shape[0]):
+        if surely_kept(position, velocity, m, view, config):
+            continue
         row = constraint(position, m, view, True, config)
         if row.bound > dot3(row.normal, velocity):
             return False

@@ -57,6 +57,9 @@ _LEAST_BRAKING = 0.25
 _POINTS = 3
 """Of the way from the UAV to the line on which it ends, from which its velocities are judged."""
 
+_SURE = 1e-3
+"""Speed [m/s] and length [m] beyond which rounding does not count."""
+
 
 class ObstacleView(NamedTuple):
     """The near objects that a UAV senses, and its memory of them."""
@@ -326,6 +329,28 @@ def constraint(
     return ClearanceConstraint(
         normal, dot3(normal, velocity) + config.gain.scale * alpha * depth / rate, depth
     )
+
+
+@inline_kernel
+def surely_kept(
+    position: Vector3, velocity: Vector3, which: int, view: ObstacleView, config: ClearanceConfig
+) -> bool:
+    """True if `velocity` keeps the constraint of a near object, on straight paths, by its distance alone.
+
+    A braking constraint leaves all relative velocities below `braking_speed`. The present one, and what `velocity` adds
+    over the UAV's share, are below it where the room is long enough.
+    """
+    near, moving = view.near[which], load3(view.near[which], 4)
+    braking = max(config.weakest - view.demand, _LEAST_BRAKING * config.weakest)
+    if config.approach != SPEED_BRAKING or is_stale(view, config) or near[ABOVE] > near[3]:
+        return False
+    asked = norm3(sub3(velocity, view.velocity)) + COMMON * norm3(sub3(view.command, view.velocity))
+    speed = norm3(sub3(view.velocity, moving)) + asked / SHARE + _SURE
+    late = config.lag_s + max(view.age_s, config.sensor_s)
+    room = speed * (LATENCIES * late + 0.5 * speed / max(braking, _TINY))
+    reach = max(near[3], 0.0) + config.margin_m + max(room, norm3(view.drift) + _SURE)
+    away = sub3(position, axpy(view.age_s, moving, near))
+    return dot3(away, away) > reach * reach
 
 
 @inline_kernel

@@ -80,7 +80,8 @@ class Latency:
         """The percentile [s] over the newest messages; 0 before the first."""
         if not self.count:
             return 0.0
-        return float(np.percentile(self._recent_s[: self.count], percent))
+        known_s = np.sort(self._recent_s[: self.count])  # `np.percentile` loads 7 ms of modules
+        return float(np.interp(percent, np.linspace(0.0, 100.0, len(known_s)), known_s))
 
 
 class Progress:

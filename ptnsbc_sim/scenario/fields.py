@@ -183,8 +183,7 @@ def kept(function: Callable[[_Block], _Result]) -> Callable[[_Block], _Result]:
         for known, result in newest:
             if known is block:
                 return result
-        result = function(block)
-        newest[:] = [(block, result)]
+        newest[:] = [(block, result := function(block))]
         return result
 
     return result_for

@@ -11,7 +11,6 @@ bound fits into its deadline.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -198,7 +197,7 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
     rests = not (formation.moves or moves_shape(file.mission) or file.world.obstacles)
     if not (together and fixed and rests and all(uav.joins_s is None for uav in file.uavs)):
         return (0.0,)
-    return _candidates(*(np.asarray(part).tobytes() for part in planned_pairs(file)))
+    return candidates(planned_pairs(file))
 
 
 def planned_pairs(file: ScenarioFile) -> Pairs:
@@ -210,12 +209,6 @@ def planned_pairs(file: ScenarioFile) -> Pairs:
     margin_m = float(file.gains.clearance.margin_m)
     scale = file.formation.keep_out_scale
     return pairs_of((starts - starts[lead]) * scale, places * scale, np.array(keep_outs), margin_m)
-
-
-@lru_cache(maxsize=64)
-def _candidates(places: bytes, errors: bytes, clear: bytes) -> tuple[float, ...]:
-    ends, ways = (np.frombuffer(one).reshape(-1, 3) for one in (places, errors))
-    return candidates(Pairs(ends, ways, np.frombuffer(clear)))
 
 
 @kept

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clearance_case import NO_DRIFT, NOTHING_TOLD
+from clearance_case import NO_DRIFT, NOTHING_TOLD, braking, object_at
 from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
@@ -23,6 +23,7 @@ from ptnsbc_core.tasks.near_constraints import (
     empty_memory,
     find_slot,
     side_of,
+    surely_kept,
     tangent,
     update_memory,
 )
@@ -322,3 +323,29 @@ def test_the_memory_given_is_left_alone() -> None:
     before = memory.copy()
     met(memory, near_of((0, 0, 0), (4, 4, 4)), ticks=3)
     np.testing.assert_array_equal(memory, before)
+
+
+def test_a_constraint_that_is_surely_kept_is_kept() -> None:
+    """The look at the distance leaves out no constraint that binds, and hardly one that does not."""
+    chance, kept, decided = np.random.default_rng(1), 0, 0
+    config = braking(margin_m=0.1, weakest=3.0)
+
+    def vector(size: float) -> tuple[float, float, float]:
+        x, y, z = chance.normal(size=3) * size * chance.random()
+        return float(x), float(y), float(z)
+
+    for k in range(1500):
+        near = object_at(vector(8.0), vector(1.0) if k % 3 else (0.0,) * 3, 0.5 + k % 2)
+        own, given, wanted = vector(1.0), vector(1.0), vector(1.0)
+        age_s, demand = 0.1 * chance.random(), chance.random()
+        view = ObstacleView(
+            near[None], age_s, empty_memory(), 0.01, own, given, demand, vector(0.5), NOTHING_TOLD
+        )
+        place = vector(8.0)
+        found = constraint(place, 0, view, True, config)
+        is_kept = bool(np.dot(found.normal, wanted) >= found.bound)
+        if surely_kept(place, wanted, 0, view, config):
+            assert is_kept
+            decided += 1
+        kept += is_kept
+    assert 0.4 * kept < decided < kept < 1500
