@@ -218,7 +218,7 @@ class MavlinkLink:
         self.resumed = False
         """True if another bridge has left the vehicle in flight; one of MAVLink says its state itself."""
         self.missing = ""
-        """Why the vehicle cannot be flown, where the link itself knows; a flight controller says it by messages."""
+        """The reason why the vehicle cannot be flown, where the link itself knows; a flight controller says it."""
         self.received = self.sent = self.unsent = 0
 
     @property

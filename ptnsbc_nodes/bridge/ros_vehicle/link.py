@@ -46,7 +46,7 @@ class RosLink:
     signed, peer, duplicate_sysid_s, resumed = False, None, None, False
     ignored: frozenset[int] = frozenset()
     source = "the vehicle"
-    """Where its poses come from, for messages."""
+    """The origin of its poses, for messages."""
 
     def __init__(self, steady_s: Callable[[], float] = time.monotonic) -> None:
         self.received = self.sent = self.unsent = 0
@@ -76,7 +76,7 @@ class RosLink:
         return True
 
     def lacks(self) -> str:
-        """What keeps it from being armed, asked once a second; empty when nothing does."""
+        """The reason why it must not be armed, asked once a second; empty without one."""
         if self._period_s <= _LATE * _LONGEST_S:
             return ""
         return f"{1 / self._period_s:.1f} poses a second: expected {1 / _LONGEST_S:g} or more"

@@ -75,7 +75,7 @@ class TopicLink(RosLink):
         return self._pose.get_publisher_count() > 0 or any(s.service_is_ready() for s in servers)
 
     def lacks(self) -> str:
-        """Who is not there, under which name; then whether its poses are enough."""
+        """The first thing that is not there, by its name; then too few poses."""
         pose, kind = self._vehicle.pose, self._vehicle.pose_type
         offered = {one.topic_type for one in self._node.get_publishers_info_by_topic(pose)}
         if offered - {kind}:
