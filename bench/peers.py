@@ -43,10 +43,8 @@ def _ticks_per_s(drones: int, seconds: float) -> float:
     from drone_models.so_rpy_rotor_drag import dynamics
 
     model = parametrize(dynamics, drone_model="cf2x_L250", xp=jnp)
-    still, upright = (
-        jnp.zeros((drones, 3)),
-        jnp.tile(jnp.asarray([0.0, 0.0, 0.0, 1.0]), (drones, 1)),
-    )
+    still = jnp.zeros((drones, 3))
+    upright = jnp.tile(jnp.asarray([0.0, 0.0, 0.0, 1.0]), (drones, 1))
     state: Any = (still, upright, still, still, jnp.full((drones, 1), _HOVER_N))
     command = jnp.tile(jnp.asarray([0.0, 0.0, 0.0, _HOVER_N]), (drones, 1))
 

@@ -52,20 +52,16 @@ def _compilation() -> list[Row]:
             text=True,
         )
     found: dict[str, float] = json.loads(done.stdout)
-    name, reference = "one LAPACK loop by numba", [found["reference"]]
     fleet_s, target = found["fleet"], Target(90.0)
     return [
-        Row("first compilation, fleet", [fleet_s], "s", name, reference, target=target),
+        Row("first compilation, fleet", [fleet_s], "s", target=target),
         Row("first compilation, headless too", [fleet_s + found["headless"]], "s", target=target),
     ]
 
 
 def _compile() -> dict[str, float]:
     """In a fresh process with an empty cache: CPU time of each first call."""
-    import numpy as np
-
     from bench.scenarios import paper
-    from bench.step import lapack_loop
     from ptnsbc_nodes.runtime.warmup import load_agent, load_world
     from ptnsbc_sim.swarm import fly
 
@@ -76,7 +72,6 @@ def _compile() -> dict[str, float]:
         load_world(scenario)
 
     return {
-        "reference": cpu_seconds(lambda: lapack_loop(np.eye(3)[None])),
         "fleet": cpu_seconds(fleet),
         "headless": cpu_seconds(lambda: fly(scenario)),
     }
