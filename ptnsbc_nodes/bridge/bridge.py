@@ -183,6 +183,8 @@ class Bridge:
 
     def _tick(self, now_s: float) -> None:
         procedure, stream, publisher = self.procedure, self.stream, self.state_publisher
+        if self.link.missing != self.vehicle.missing:
+            self._log(self.link.missing)
         inputs, self.vehicle.missing = self.ports.inputs, self.link.missing
         data, inputs.setpoint = inputs.setpoint, None
         answered = data is not None and publisher.controller.on_message(data)

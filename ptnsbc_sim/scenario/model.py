@@ -512,7 +512,7 @@ class ScenarioFile(Block):
         whole = self.plugins.vehicle is not None or "position" in ros.fields
         return link._replace(
             connect=f"ros:{ros.name}",
-            autopilot="ros_take_off" if "take_off" in ros.services else autopilot,
+            autopilot="ros_take_off" if ros.services.get("take_off") else autopilot,
             setpoint="position_velocity" if whole else "velocity",
             origin_m=link.origin_m or (0.0, 0.0, 0.0),
             ros=ros,

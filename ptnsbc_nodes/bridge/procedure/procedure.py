@@ -170,7 +170,6 @@ class Procedure:
         limit_s = math.inf if pilot_arms or pilot_flies else _STATES[self.step].limit_s
         if self.memory.age_s(now.now_s) > limit_s:
             missing = {
-                Step.HEARTBEAT: now.state_fault,
                 Step.STATE: now.state_fault,
                 Step.CONTROLLER: now.state_fault
                 or "no fresh setpoints from a controller that is ready",

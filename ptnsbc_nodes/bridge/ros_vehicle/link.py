@@ -145,9 +145,9 @@ class RosLink:
     def poll(self, now_s: float) -> Iterator[Any]:
         """The reports of the vehicle, and a heartbeat every second and with every change."""
         self._arrived.clear()
-        silence = self.refusals.newest or f"nothing on {self.source}"
-        silent = now_s - self._posed_s > _SILENT_S
-        self.missing = self._lacks or f"no position from the vehicle: {silence}" * silent
+        why = self.refusals.newest or f"nothing on {self.source}"
+        why = f"no position from the vehicle: {why}" * (now_s - self._posed_s > _SILENT_S)
+        self.missing = self._lacks or why
         if self.resumed:
             self.armed, self.mode, self.resumed = True, FlightMode.OWN, False
         while self._waiting:
@@ -157,7 +157,7 @@ class RosLink:
         if now_s < self._next_s and state == self._told:
             return
         self._told, self._next_s = state, now_s + _HEARTBEAT_S
-        self._lacks = "" if armed else self.lacks()
+        self._lacks = "" if armed or now_s < self._began_s + 2 * _HEARTBEAT_S else self.lacks()
         if self.alive():
             base = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
             who, standby = (mavlink.MAV_TYPE_QUADROTOR, ROS.number), mavlink.MAV_STATE_STANDBY

@@ -68,11 +68,12 @@ class TopicLink(RosLink):
             request: [self._client(call) for call in calls]
             for request, calls in vehicle.services.items()
         }
+        self._clients = [client for calls in self._calls.values() for client, _ in calls]
 
     def alive(self) -> bool:
         """True if somebody publishes its pose, or offers its services."""
-        servers = (client for calls in self._calls.values() for client, _ in calls)
-        return self._pose.get_publisher_count() > 0 or any(s.service_is_ready() for s in servers)
+        ready = any(client.service_is_ready() for client in self._clients)
+        return ready or self._pose.get_publisher_count() > 0
 
     def lacks(self) -> str:
         """The first thing that is not there, by its name; then too few poses."""
@@ -82,10 +83,9 @@ class TopicLink(RosLink):
             return f"{pose} is {', '.join(offered - {kind})}: expected {kind}"
         if not self._publisher.get_subscription_count():
             return f"nobody hears {self._vehicle.output} as {self._vehicle.output_type}"
-        if "land" not in self._calls:
+        if not self._calls.get("land"):
             return "ros.services has no land"
-        clients = (client for calls in self._calls.values() for client, _ in calls)
-        silent = [client.srv_name for client in clients if not client.service_is_ready()]
+        silent = [client.srv_name for client in self._clients if not client.service_is_ready()]
         return f"nobody offers {', '.join(silent)}" if silent else super().lacks()
 
     def fly(self, position: Given, velocity: Given, acceleration: Given, yaw: float) -> None:
@@ -113,8 +113,7 @@ class TopicLink(RosLink):
 
     def request(self, request: CommandRequest) -> None:
         """Call the services of a request, one after the other."""
-        kills = request is CommandRequest.KILL
-        service = "stop" if kills else request.value.replace(" ", "_")
+        service = "stop" if request is CommandRequest.KILL else request.value.replace(" ", "_")
         calls = self._calls.get(service, [])
         if calls and time.monotonic() >= self._not_again_s.get(request, 0.0):
             self._call_in_turn(request, calls)

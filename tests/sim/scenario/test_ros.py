@@ -27,6 +27,7 @@ def test_the_profile_and_the_kind_of_setpoint_follow_from_what_it_takes():
         "ros:uav1", "ros_take_off", "velocity",
     )  # fmt: skip
     assert plain.origin_m == (0.0, 0.0, 0.0)
+    assert link(services={"take_off": []}).autopilot == "ros"
     full = link(services={}, fields={"position": "transforms.0.translation"})
     assert (full.autopilot, full.setpoint) == ("ros", "position_velocity")
 

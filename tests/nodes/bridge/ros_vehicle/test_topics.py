@@ -126,7 +126,7 @@ def test_what_is_not_there_is_named_before_it_is_armed(ros, opened):
     told("nobody offers /uav1/land")
     other.create_service(Trigger, "/uav1/land", lambda _, response: response)
     told("")
-    told("ros.services has no land", opened(services={}))
+    told("ros.services has no land", opened(services={"land": []}))
 
 
 def test_setpoints_are_twists_and_a_position_is_flown_to_by_a_velocity(ros, opened, heard):
