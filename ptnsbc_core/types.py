@@ -119,7 +119,7 @@ class EstimatorConfig(NamedTuple):
 
 
 class VelocityLoop(NamedTuple):
-    """How a vehicle follows a velocity: t v'' + v' = f u' + K (u - v), u the command after the filter."""
+    """The loops below the velocity: t v'' + v' = f u' + K (u - v), u the command after the filter."""
 
     gain: float  # K [1/s]
     attitude_s: float  # t

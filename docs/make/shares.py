@@ -1,4 +1,4 @@
-"""The table of `docs/shares.md`, of the figures that `python -m paper.families` has written."""
+"""The tables of `docs/shares.md`, of the figures that `python -m paper.families` and `paper.sight` have written."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from docs.make.markdown import table
 
 DATA = Path(__file__).resolve().parents[1] / "families"
+SIGHT = DATA.with_name("sight.json")
 FAMILIES = (
     "near", "near_20", "chain", "slots", "anywhere", "swap", "swap_12", "ring",
     "delay", "wind", "clutter", "clutter_fast", "mass",
@@ -19,11 +20,28 @@ _HEADINGS = (
     "keep-out", "deadline", "way back", "probability of a broken keep-out",
 )  # fmt: skip
 _OPEN = "not flown"
+_SPEEDS = ("keep-out", "stops below", "flown up to", "deepest there", "can evade below")
 
 
 def regions() -> dict[str, str]:
     """Every made region of the page."""
-    return {"families": table(_HEADINGS, map(_row, filter(_has_flown, FAMILIES)))}
+    return {
+        "families": table(_HEADINGS, map(_row, filter(_has_flown, FAMILIES))),
+        "sight": table(_SPEEDS, map(_speeds, json.loads(SIGHT.read_text("utf-8"))["rows"])),
+    }
+
+
+def _speeds(row: dict[str, float]) -> list[str]:
+    stops, flown, evades = (
+        f"{row[f'{name}_m_s']:.2f} m/s" for name in ("stops", "flown", "evades")
+    )
+    return [
+        f"{row['keep_out_m']:g} m",
+        stops,
+        flown,
+        f"{1e3 * max(-row['room_m'], 0.0):.0f} mm",
+        evades,
+    ]
 
 
 def _has_flown(family: str) -> bool:
