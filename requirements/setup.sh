@@ -160,9 +160,10 @@ if [ $kind = plain ] && [[ " $* " == *" messages "* ]]; then
     parts=()
     for built in messages test-messages; do
       case $built in
-        messages) messages=(requirements/interfaces/*/) ;;
-        *) [[ " $* " == *" test "* ]] || continue; messages=(tests/messages/*/) ;;
+        messages) messages=(requirements/interfaces/*/package.xml) ;;
+        *) [[ " $* " == *" test "* ]] || continue; messages=(tests/messages/*/package.xml) ;;
       esac
+      messages=("${messages[@]%package.xml}")
       mapfile -t sources < <(find requirements/plain/runtime.lock requirements/interfaces/build.py "${messages[@]}" -type f | sort -u)
       part $built make_messages "${sources[@]}"
     done

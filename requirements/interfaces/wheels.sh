@@ -8,7 +8,8 @@ set -euo pipefail
 packages=()
 for folder in "$@"; do packages+=("$(realpath "$folder")"); done
 cd "$(dirname "${BASH_SOURCE[0]}")/../.."
-[ $# -gt 0 ] || packages=("$PWD"/requirements/interfaces/*/)
+[ $# -gt 0 ] || packages=("$PWD"/requirements/interfaces/*/package.xml)
+packages=("${packages[@]%/package.xml}")
 
 say() { printf 'wheels: %s\n' "$*"; }
 version() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null; }
