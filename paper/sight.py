@@ -10,7 +10,6 @@ import json
 import math
 import sys
 from itertools import takewhile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,7 +72,7 @@ def main() -> int:
     about = {"commit": commit(("ptnsbc_core", "ptnsbc_sim", "scenarios")), "rows": rows}
     with replacing(SIGHT) as part:
         part.write_text(json.dumps(rounded(about), indent=1) + "\n", encoding="utf-8")
-    print(Path(SIGHT).read_text(encoding="utf-8"), end="")
+    print(SIGHT.read_text(encoding="utf-8"), end="")
     return 0
 
 
