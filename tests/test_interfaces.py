@@ -61,7 +61,7 @@ def test_a_package_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "needed"), [("srv", "service_msgs"), ("action", "action_msgs")])
-def test_what_every_service_and_action_needs_need_not_be_named(
+def test_packages_that_each_service_and_action_needs_are_implied(
     tmp_path: Path, kind: str, needed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rosidl_adapter")

@@ -110,7 +110,7 @@ def test_a_vehicle_that_lags_behind_passes_beside_a_standing_object(
     attitude_s=st.floats(0.01, 0.2),
     fed_forward=st.sampled_from([0.0, 1.0]),
 )
-def test_whatever_it_is_told_a_vehicle_ends_on_the_line_that_its_drift_names(
+def test_a_vehicle_ends_on_the_line_of_its_drift_with_every_command(
     seed: int, gain: float, attitude_s: float, fed_forward: float
 ) -> None:
     """x' = v, v' = a, t a' = f u' + K (u - v) - a, u' = b (w - u) with a constant w."""

@@ -146,7 +146,7 @@ def test_a_vehicle_without_a_log(flown, tmp_path):
         ("stm32", "", "no list of logs for 2 s"),
     ],
 )
-def test_who_does_not_answer_is_given_up(flown, kind, silence, words):
+def test_an_autopilot_that_does_not_answer_is_given_up(flown, kind, silence, words):
     one = flown(kind, patience_s=2.0)
     one.vehicle.faults.mute = bool(silence)
     assert words in one.run()

@@ -1,4 +1,4 @@
-"""What is asked of one block many times."""
+"""Results that are kept for a block."""
 
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.fields import kept

@@ -1,4 +1,4 @@
-"""What is played is what was recorded; the autopilots' logs beside it."""
+"""A bag is played as it was recorded; the autopilots' logs beside it."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_what_is_no_pose_is_refused_and_counted(opened, heard):
     assert not link.position.any()
 
 
-def test_what_is_not_there_is_named_before_it_is_armed(ros, opened):
+def test_missing_topics_and_services_are_named_before_a_vehicle_is_armed(ros, opened):
     land = {"land": [{"service": "/{name}/land"}]}
     link, other = opened(services=land), ros.node("vehicle")
 
