@@ -59,7 +59,7 @@ def open_link(
         except PortTakenError:
             if over() or time.monotonic() >= until_s:
                 raise
-            time.sleep(_PORT_AGAIN_S)
+            time.sleep(_PORT_AGAIN_S)  # nothing tells when a port is let go
 
 
 class Bridge:
