@@ -128,7 +128,7 @@ def _slots(scenario: Scenario) -> Array:
     """Slots of all UAVs relative to the leader, and half of the distance to the next one: rows (N, 4) [m], ENU."""
     slots = np.array([scenario.offset(uav_id) for uav_id in scenario.uav_ids], dtype=np.float64)
     ways = slots[:, np.newaxis] - slots
-    squares = np.vecdot(ways, ways)
+    squares = (ways * ways).sum(axis=2)
     np.fill_diagonal(squares, np.inf if len(slots) > 1 else 0.0)
     return np.column_stack([slots, 0.5 * np.sqrt(squares.min(axis=1))])
 
