@@ -17,7 +17,7 @@ FAMILIES = (
 """In the order of the page."""
 _HEADINGS = (
     "FAMILY", "accepted", "met", "in place", "closest pair", "searched", "refused of them",
-    "keep-out", "deadline", "way back", "probability of a broken keep-out",
+    "keep-out", "deadline", "way back", "unasked, inside a keep-out",
 )  # fmt: skip
 _OPEN = "not flown"
 _SPEEDS = ("keep-out", "stops below", "flown up to", "deepest there", "can evade below")

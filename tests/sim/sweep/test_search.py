@@ -164,6 +164,19 @@ def test_what_is_refused_does_not_end_the_levels_of_a_rare_event() -> None:
     assert (found.probability, found.high) == (0.0, 1e-4)
 
 
+def test_chains_that_cannot_move_end_and_exclude_little() -> None:
+    # what is close to a broken promise has no neighbours: they are refused
+    first = np.random.default_rng(0).standard_normal((search.LEVEL_FLIGHTS, DIMS))
+    close = set(map(tuple, first[:: search.LEVEL_FLIGHTS // 100]))
+
+    def margin(z: Array) -> Array:
+        return np.array([0.1 if tuple(one) in close else search.NO_MARGIN for one in z])
+
+    _, found = answered(search.rare(DIMS, 1e-9, 0), margin)
+    assert found is not None and found.probability == 0.0
+    assert found.high == pytest.approx(3.0 * 0.1 / 100)
+
+
 def test_one_promise_is_searched_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "_SPECIES", 2)
     plan = plan_near(50, stop_after_s=0.1)
