@@ -25,7 +25,8 @@ _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 _TIMEX_BYTES = 1024  # more than struct timex has
 _WAKES = 100
 _LATE_MS = 5.0  # half a control period at 100 Hz
-_TRANSPORTS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
+_RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+_TRANSPORTS = ("ROS_DOMAIN_ID", _RANGE, _PEERS, "RMW_IMPLEMENTATION")
 
 
 def _machine() -> Findings:
@@ -79,9 +80,9 @@ def _middleware() -> Findings:
     yield judge("middleware", value, "rmw_fastrtps_cpp, which is tested", advice)
     given = {key: os.environ[key] for key in _TRANSPORTS if os.environ.get(key)}
     shown = ", ".join(f"{key}={value}" for key, value in given.items()) or "nothing set"
-    wide = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
-    advice = "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else ""
-    yield judge("discovery", shown, "this host alone, unless --network", advice)
+    wide = given.get(_RANGE) in ("SUBNET", "SYSTEM_DEFAULT")
+    advice = f"unset {_RANGE}: others could hear the fleet" if wide else ""
+    yield judge("discovery", shown, f"this host alone, and {_PEERS}", advice)
     value, advice = "", ""
     try:
         with reserved_domain() as domain:

@@ -149,13 +149,6 @@ StrictOption = Annotated[
 VerboseOption = Annotated[bool, option("--verbose -v", "Print everything.")]
 PlainOption = Annotated[bool, option("--plain", "Lines instead of the table that redraws itself.")]
 AllowArmingOption = Annotated[bool, option("--allow-arming", "Arm real vehicles and take off.")]
-NetworkOption = Annotated[
-    Path | None,
-    option(
-        "--network PROFILE",
-        "Fly with other computers: a file that `ptnsbc network` wrote. Default: PTNSBC_NETWORK.",
-    ),
-]
 NamespaceOption = Annotated[
     str,
     option(

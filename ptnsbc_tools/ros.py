@@ -1,12 +1,10 @@
-"""The packages that a command or a function needs and may lack, and the ROS environment: network profile and domain."""
+"""The packages that a command or a function needs and may lack, and the ROS environment."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
@@ -26,16 +24,6 @@ def library(name: str, what: str, extra: str = "tables") -> Any:
         raise LibraryMissingError(
             f'{what}: {name} is not installed: pip install "ptnsbc[{extra}]"'
         ) from None
-
-
-def select_network(network: Path | None, domain: int | None) -> None:
-    """Set the environment variables for --network and --domain; child processes inherit them."""
-    from ptnsbc_nodes.runtime.environment import NETWORK
-
-    if network is not None:
-        os.environ[NETWORK] = str(network)
-    if domain is not None:
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
 
 
 @contextmanager

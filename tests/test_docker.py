@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ptnsbc_nodes.runtime import dds_profiles, environment
+from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,15 +90,13 @@ def test_every_container_is_healthy_by_what_its_own_process_reports(compose, mon
         assert asked[-1] == (int(environment["ROS_DOMAIN_ID"]), "", [name])
 
 
-def test_the_profile_names_the_address_of_every_container(compose):
+def test_every_container_looks_for_every_other_one(compose):
     addresses = [
         service["networks"]["fleet"]["ipv4_address"] for service in compose["services"].values()
     ]
     assert len(set(addresses)) == len(addresses)
-    expected = dds_profiles.static_peers(addresses, 8)
-    assert (DOCKER / "fleet.xml").read_text() == f"{expected}\n"
-    settings = compose["services"]["uav1"]["environment"]
-    assert f"./fleet.xml:{settings['PTNSBC_NETWORK']}:ro" in compose["services"]["uav1"]["volumes"]
+    for service in compose["services"].values():
+        assert service["environment"]["ROS_STATIC_PEERS"].split(";") == addresses
 
 
 def test_what_the_image_copies_is_there():

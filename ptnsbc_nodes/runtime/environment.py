@@ -12,14 +12,12 @@ import subprocess
 import sys
 from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager, suppress
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_nodes.runtime.launcher import PARENT, stay_with_launcher
-
-NETWORK = "PTNSBC_NETWORK"
-"""A Fast DDS profile (`ptnsbc network`): the fleet then flies over the network that it describes."""
 
 _DEFAULTS = {
     # A fleet on one host. The user widens it for more hosts.
@@ -51,6 +49,10 @@ class DomainError(PtnsbcError):
     """No usable ROS domain."""
 
 
+class NetworkError(PtnsbcError):
+    """A network that no fleet can fly over."""
+
+
 class DdsSecurityError(PtnsbcError):
     """DDS Security was asked for, and cannot be had."""
 
@@ -70,7 +72,6 @@ def prepare() -> None:
     Raises:
         DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and the middleware has no DDS Security.
         DomainError: `ROS_DOMAIN_ID` is no domain. The middleware would end the process.
-        NetworkError: the middleware would ignore the profile of the network.
     """
     named_domain()
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and lacks_security():
@@ -81,17 +82,6 @@ def prepare() -> None:
         )
     wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
     stay_with_launcher()
-    if os.environ.get(NETWORK):
-        profile = str(dds_profiles.checked(Path(os.environ[NETWORK])))
-        rmw = os.environ.get("RMW_IMPLEMENTATION", _RMW)
-        if rmw != _RMW:
-            raise dds_profiles.NetworkError(
-                f"RMW_IMPLEMENTATION={rmw}: {NETWORK} is a profile of Fast DDS: "
-                f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
-            )
-        os.environ.update({NETWORK: profile, PROFILES[0]: profile})
-        # With any other value rmw_fastrtps would override the profile.
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
     # The wheels put the ament index into the environment's prefix, but do not set the variable.
@@ -105,8 +95,8 @@ def refuse_lonely_middleware() -> None:
     For commands and launchers: a node that boots before its discovery server waits for it.
     """
 
-    def refuse(name: str, why: str) -> dds_profiles.NetworkError:
-        return dds_profiles.NetworkError(f"{name}={os.environ[name]}: {why}")
+    def refuse(name: str, why: str) -> NetworkError:
+        return NetworkError(f"{name}={os.environ[name]}: {why}")
 
     if os.environ.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
         # It ends the process that loads it: another one tries.
@@ -201,12 +191,14 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     if (
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
         and child.get("RMW_IMPLEMENTATION", _RMW) == _RMW
-        and not child.keys() & {"ROS_DISCOVERY_SERVER", *PROFILES}
+        and not child.keys() & {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", *PROFILES}
     ):  # the user has chosen no other discovery
         profile = folder / "discovery.xml"
         # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. This profile
         # does the same with as many peers as there are, and with UDP alone.
-        profile.write_text(dds_profiles.localhost(processes + _SPARE_PEERS), encoding="utf-8")
+        template = files("ptnsbc_nodes.runtime").joinpath("profiles", "localhost.xml")
+        text = Template(template.read_text(encoding="utf-8"))
+        profile.write_text(text.substitute(processes=processes + _SPARE_PEERS), encoding="utf-8")
         child[PROFILES[0]] = str(profile)
         # With any other value rmw_fastrtps would override the profile.
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -24,7 +25,6 @@ from ptnsbc_tools.options import (
     DurationOption,
     FlightChoices,
     NamespaceOption,
-    NetworkOption,
     OverwriteOption,
     PlainOption,
     ScenarioArgument,
@@ -112,7 +112,6 @@ def fleet(
     parts: Parts,
     choices: FlightChoices,
     views: Views,
-    network: NetworkOption = None,
     domain: DomainOption = None,
     port_base: Annotated[
         int | None,
@@ -132,9 +131,10 @@ def fleet(
     """Fly a scenario with one ROS 2 process per UAV, and judge it.
 
     The vehicles are simulated, or real ones (--backend mavlink, ros). Nothing leaves this
-    host without --network.
+    host without ROS_STATIC_PEERS.
     """
-    ros.select_network(network, domain)
+    if domain is not None:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)  # child processes inherit it
     chosen = choices.of(scenario)
     if port_base is not None:
         ports = enumerate(chosen.uav_ids, port_base)

@@ -1,4 +1,4 @@
-"""A fleet on two and three computers (network namespaces), with a profile of `ptnsbc network` or a discovery server."""
+"""A fleet on two and three computers (network namespaces), with static peers or a discovery server."""
 
 import json
 import os
@@ -27,14 +27,6 @@ SERVER = shutil.which(
 THREE = (str(Path(__file__).resolve().parents[3] / "examples" / "three.yaml"), *PLANT)
 
 
-def profile(ground, tmp_path, *words):
-    """The file that all computers fly with."""
-    file = tmp_path / "fleet.xml"
-    call = ground.ptnsbc("network", *words, "-o", file)
-    assert namespaces.finished(call)[0] == 0
-    return file
-
-
 def fly(flight, parts, domain, *words, **settings):
     """Each computer with its processes; the last one leads. Exit code and what was said, in the same order."""
     running = [
@@ -53,12 +45,13 @@ def fly(flight, parts, domain, *words, **settings):
 
 @pytest.mark.alone
 def test_with_static_peers_and_a_fifth_of_the_packets_lost_the_fleet_forms_by_its_deadline(
-    domain, tmp_path
+    domain,
 ):
     with namespaces.computers(2, 20) as (ground, away):
-        file = profile(ground, tmp_path, "peers", ground.address, away.address)
+        peers = f"{ground.address};{away.address}"
+        parts = [(away, "3"), (ground, "recorder,sim,1,2")]
         (away_code, away_out, away_err), (code, out, err) = fly(
-            THREE, [(away, "3"), (ground, "recorder,sim,1,2")], domain, "--network", file
+            THREE, parts, domain, ROS_STATIC_PEERS=peers
         )
         assert away.packets_sent() > 1000  # it was the cable, and no other way
     assert (code, away_code) == (0, 0), f"{out}\n{err}\n{away_err}"
@@ -69,7 +62,7 @@ def test_with_static_peers_and_a_fifth_of_the_packets_lost_the_fleet_forms_by_it
     assert json.loads(away_out)["fleet"]["died"] == []
 
 
-def test_through_a_discovery_server_every_flight_begins(domain, tmp_path):
+def test_through_a_discovery_server_every_flight_begins(domain):
     """A server leaves a process out in one of eight starts; the launcher starts that one again."""
     with namespaces.computers(3, 20) as (ground, second, third):
         server = subprocess.Popen(ground.inside(str(SERVER), "-i", "0", "-l", ground.address))
@@ -86,15 +79,14 @@ def test_through_a_discovery_server_every_flight_begins(domain, tmp_path):
     assert len(told[-1]["uavs"]) == 3
 
 
-def test_nothing_leaves_the_host_unless_told(tmp_path, domain):
-    """The cable is the way to everywhere, multicast too; with a profile the same flight uses it."""
+def test_nothing_leaves_the_host_unless_told(domain):
+    """The cable is the way to everywhere, multicast too; with static peers a command uses it."""
     with namespaces.computers() as (alone, other):
         flight = ("fleet", *THREE, "--json", "--domain", domain, "--lockstep", "--duration", 1)
         namespaces.finished(alone.ptnsbc(*flight))
         namespaces.finished(alone.ptnsbc("stop", "--domain", domain))
         assert alone.packets_sent() == 0
-        file = tmp_path / "fleet.xml"
-        call = alone.ptnsbc("network", "peers", alone.address, other.address, "-o", file)
-        namespaces.finished(call)
-        namespaces.finished(alone.ptnsbc("stop", "--domain", domain, PTNSBC_NETWORK=str(file)))
+        namespaces.finished(
+            alone.ptnsbc("stop", "--domain", domain, ROS_STATIC_PEERS=other.address)
+        )
         assert alone.packets_sent() > 0

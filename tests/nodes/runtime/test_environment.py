@@ -1,6 +1,7 @@
 """The environment of the processes: ROS domains, discovery, scheduling, the end of the launcher."""
 
 import os
+import re
 import resource
 import socket
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.runtime import dds_profiles, environment, launcher
+from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
 
 
@@ -98,6 +99,7 @@ def own_discovery(monkeypatch):
         "FASTRTPS_DEFAULT_PROFILES_FILE",
         "FASTDDS_DEFAULT_PROFILES_FILE",
         "ROS_DISCOVERY_SERVER",
+        "ROS_STATIC_PEERS",
         "RMW_IMPLEMENTATION",
     ):
         monkeypatch.delenv(name, raising=False)
@@ -109,12 +111,30 @@ def test_children_probe_as_many_peers_as_there_are(own_discovery, tmp_path):
     assert settings["ROS_DOMAIN_ID"] == "5"
     profile = Path(settings["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
     assert "<maxInitialPeersRange>55</maxInitialPeersRange>" in profile
+    assert re.findall("<address>(.*?)</address>", profile) == ["127.0.0.1"] * 2
 
 
-def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+def test_the_profile_of_children_fits_the_schema_of_fast_dds(own_discovery, tmp_path):
+    etree = pytest.importorskip("lxml.etree")
+    found = [
+        path
+        for prefix in (sys.prefix, "/opt/ros/jazzy")
+        for path in Path(prefix).glob("share/**/fastRTPS_profiles.xsd")
+    ]
+    if not found:
+        pytest.skip("this ROS installation has no fastRTPS_profiles.xsd")
+    profile = environment.for_children(5, 3, tmp_path)["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    etree.XMLSchema(etree.parse(found[0])).assertValid(etree.parse(profile))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"), ("ROS_STATIC_PEERS", "10.0.0.7;10.0.0.8")],
+)
+def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path, name, value):
+    monkeypatch.setenv(name, value)
     settings = environment.for_children(5, 43, tmp_path)
-    assert settings["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert settings[name] == value
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in settings
 
 
@@ -136,7 +156,7 @@ def test_variables_with_which_nobody_is_heard_are_refused_at_once(
     own_discovery, monkeypatch, tmp_path, name, value, why
 ):
     monkeypatch.setenv(name, value)
-    with pytest.raises(dds_profiles.NetworkError, match=f"{name}={value}.*{why}"):
+    with pytest.raises(environment.NetworkError, match=f"{name}={value}.*{why}"):
         environment.for_children(5, 43, tmp_path)
 
 
