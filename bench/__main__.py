@@ -13,7 +13,7 @@ from bench.session import Machine, Plan, print_progress, sentences
 from bench.table import Row, markdown
 from ptnsbc_core.errors import PtnsbcError
 
-SECTIONS = ("step", "tick", "headless", "sweep", "startup", "fleets", "peers")
+SECTIONS = ("tick", "headless", "sweep", "startup", "fleets", "quarter", "peers")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import mean
 from typing import NamedTuple
 
-from bench.processes import BenchError, Observer, Sampler, Usage, bare_node
+from bench.processes import BenchError, Observer, Sampler, Usage, bare_node, missed_percent
 from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, own_domain, print_progress, take_turns
 from bench.table import Row, Target
@@ -24,8 +24,6 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 
 _MISSED, _STATUS, _RECORDER = Target(1.0), Target(3.0), Target(2.0)
-_LARGE_HZ, _IN_PROCESS = 50, 25
-_LARGE = {50: Target(0.5, at_least=True), 100: Target(0.2, at_least=True)}
 _PROCESS = {"uav": "one UAV", "sim": "the sim", "recorder": "the recorder"}
 
 
@@ -68,8 +66,6 @@ def measure(plan: Plan) -> Iterator[Row]:
     """Rows of this section, one fleet after the other: minutes are not lost with the last of them."""
     for case in plan.of(CASES, CASES[:1]):
         yield from _real_time(case, plan)
-    for size, target in _LARGE.items():
-        yield from _large(size, target, plan)
     yield from _lockstep(plan)
 
 
@@ -101,11 +97,9 @@ def fly(scenario: Scenario, *, lockstep: bool, bag: bool, processes: int | None 
         values = observer.newest() if observer else {}
     if result.died or result.interrupted:
         raise BenchError(f"fleet of {len(scenario.uav_ids)}: interrupted or lost {result.died}")
-    uavs = [row for name, row in values.items() if name.startswith("uav")]
-    missed, ticks = (sum(int(row[key]) for row in uavs) for key in ("missed_ticks", "ticks"))
+    share = missed_percent([row for name, row in values.items() if name.startswith("uav")])
     latency = [float(values.get("sim", {}).get(f"latency_{p}_ms", 0.0)) for p in ("p50", "p99")]
-    missed_percent = 100.0 * missed / max(missed + ticks, 1)
-    return Flown(rate, missed_percent, latency[0], latency[1], _lost(result), sampler.usage())
+    return Flown(rate, share, latency[0], latency[1], _lost(result), sampler.usage())
 
 
 def _lost(result: FleetResult) -> float:
@@ -165,18 +159,6 @@ def _status_percent(scenario: Scenario, cores: float) -> float:
 
         status_s = cpu_seconds(report, 50)
     return 100.0 * STATUS_HZ * status_s / cores
-
-
-def _large(size: int, target: Target, plan: Plan) -> Iterator[Row]:
-    """A fleet by `ptnsbc fleet --lockstep --processes K`."""
-    processes = size // _IN_PROCESS
-    name = f"lock-step, N = {size} in {processes} processes, {_LARGE_HZ} Hz"
-    print_progress(name)
-    flown = fly(
-        grid(size, _LARGE_HZ, plan.of(10.0, 3.0)), lockstep=True, bag=False, processes=processes
-    )
-    yield Row(f"{name}: speed", [flown.steps_per_s / _LARGE_HZ], "× real time", target=target)
-    yield Row(f"{name}: memory of a process", [flown.usage["uav"].rss_mb], "MB")
 
 
 def _lockstep(plan: Plan) -> Iterator[Row]:

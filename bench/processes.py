@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from subprocess import PIPE, Popen, TimeoutExpired
@@ -100,7 +101,7 @@ class Sampler:
 
     def _run(self) -> None:
         while not self._over.wait(_PERIOD_S):
-            for pid in _children():
+            for pid in children(os.getpid()):
                 self._look(pid)
 
     def _look(self, pid: int) -> None:
@@ -133,11 +134,12 @@ def _stat(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
 
 
-def _children() -> list[int]:
+def children(parent: int) -> list[int]:
+    """The processes that this one has started."""
     found = []
     for entry in filter(str.isdecimal, os.listdir("/proc")):
         with suppress(OSError):  # it has just ended
-            if int(_stat(int(entry))[1]) == os.getpid():
+            if int(_stat(int(entry))[1]) == parent:
                 found.append(int(entry))
     return found
 
@@ -205,6 +207,12 @@ class Observer:
 
 class BenchError(PtnsbcError):
     """A run from which no figure can be read."""
+
+
+def missed_percent(uavs: Sequence[Mapping[str, str]]) -> float:
+    """The share of their ticks that UAVs missed, by their statuses."""
+    missed, ticks = (sum(int(row[key]) for row in uavs) for key in ("missed_ticks", "ticks"))
+    return 100.0 * missed / max(missed + ticks, 1)
 
 
 def bare_node(hz: float, seconds: float) -> Usage:

@@ -98,7 +98,7 @@ def sentences(facts: Mapping[str, Any]) -> list[str]:
         f"{facts['cores']} cores",
         f"load average {before} before, {after} after {facts['elapsed_s']:.0f} s",
         f"Python {facts['python']}, {packages}",
-        "step, headless, recorder: CPU time of one thread, which is wall time on an idle core",
+        "headless, recorder: CPU time of one thread, which is wall time on an idle core",
         "medians; every run of a figure alternates with one of its reference",
     ]
 

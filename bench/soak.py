@@ -111,20 +111,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)
     parser.add_argument("--uavs", type=int, default=20)
-    parser.add_argument("--duration", type=float, default=600.0, metavar="S")
+    parser.add_argument("--duration", dest="duration_s", type=float, default=600.0, metavar="S")
     parser.add_argument("--faults", type=int, default=60, metavar="N")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lockstep", action="store_true")
     parser.add_argument("--hz", type=int, default=50, help="control periods per second")
     options = parser.parse_args(arguments)
-    found = soak(
-        options.uavs,
-        options.duration,
-        options.faults,
-        options.seed,
-        options.hz,
-        lockstep=options.lockstep,
-    )
+    found = soak(**vars(options))
     print(json.dumps(found, indent=1, default=str))
     bad = ("died_unasked", "keep_outs_entered", "recorder_lost")
     grown = max(found["memory_growth"].values(), default=0.0)
