@@ -34,6 +34,7 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import required_seal
     from ptnsbc_nodes.recording.fleet_recorder import LockstepRecorder, RealTimeRecorder
     from ptnsbc_nodes.recording.recorder import BagRecorder, topic_info
+    from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.launcher import report_running
     from ptnsbc_nodes.runtime.node_process import plain_node, report_finished
 
@@ -74,6 +75,7 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
                         node, writer, recorded, transforms, seal, options.silent
                     )
                 else:
+                    environment.prefer_punctuality(after_vehicles=True)
                     recorder = RealTimeRecorder(node, writer, recorded, transforms, draw, seal)
                 print("ready", file=sys.stderr, flush=True)
                 report_running()

@@ -154,8 +154,8 @@ def prefer_throughput() -> None:
     _schedule(os.SCHED_BATCH, 0)
 
 
-def prefer_punctuality() -> bool:
-    """For vehicles in real time: real-time scheduling (round robin), before all other programs.
+def prefer_punctuality(*, after_vehicles: bool = False) -> bool:
+    """For vehicles in real time, and for what records them: real-time scheduling (round robin), before other programs.
 
     A setpoint that waits half a second for a compiler on the same host ends the flight of a real vehicle, and a
     simulated world that is late makes all odometry stale at once. The kernel keeps a twentieth of the time for all
@@ -163,7 +163,7 @@ def prefer_punctuality() -> bool:
 
     Returns False without the right to change the scheduling; the process works all the same.
     """
-    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + 1)
+    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + (not after_vehicles))
 
 
 def _schedule(policy: int, priority: int) -> bool:

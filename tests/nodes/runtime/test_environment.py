@@ -177,11 +177,11 @@ def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
 
 
 HURRY = """
-import os, threading
+import os, sys, threading
 from ptnsbc_nodes.runtime import environment, launcher
 waiting = threading.Event()
 threading.Thread(target=waiting.wait).start()  # a node has threads before it knows whom it flies
-assert environment.prefer_punctuality()
+assert environment.prefer_punctuality(after_vehicles="recorder" in sys.argv)
 for thread in os.listdir("/proc/self/task"):
     print(os.sched_getscheduler(int(thread)), os.sched_getparam(int(thread)).sched_priority)
 waiting.set()
@@ -194,12 +194,13 @@ def _may_hurry():
 
 
 @pytest.mark.skipif(not _may_hurry(), reason="no right to real-time scheduling here")
-def test_who_flies_runs_before_the_rest_with_all_its_threads():
+@pytest.mark.parametrize(("who", "priority"), [("uav", "2"), ("recorder", "1")])
+def test_who_flies_runs_before_the_rest_with_all_its_threads(who, priority):
     root = Path(environment.__file__).parents[2]
     told = subprocess.run(
-        [sys.executable, "-c", HURRY], capture_output=True, text=True, check=True, cwd=root
+        [sys.executable, "-c", HURRY, who], capture_output=True, text=True, check=True, cwd=root
     )
-    assert told.stdout.split() == [str(os.SCHED_RR), "2"] * 2
+    assert told.stdout.split() == [str(os.SCHED_RR), priority] * 2
 
 
 def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
