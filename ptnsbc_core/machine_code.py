@@ -170,9 +170,7 @@ class Entry:
         self._last, self._owner = tuple(arguments), kernel.owner
         self._number, self._error = ctypes.c_double(), ctypes.c_void_p()
         self._out = ctypes.addressof(self._number), ctypes.addressof(self._error)
-        pointer, number, word = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
-        kinds = [number if isinstance(one, float) else word for one in self._words]
-        self._law = ctypes.PYFUNCTYPE(ctypes.c_int, pointer, pointer, *kinds)(kernel.address)
+        self._law = _signature(tuple(map(type, self._words)))(kernel.address)
 
     def __deepcopy__(self, _memo: object) -> Entry:
         return self  # it knows its arguments again only as the same objects
@@ -187,6 +185,13 @@ class Entry:
         if self._law(*self._out, *words):
             raise RuntimeError("a law has failed: expected inputs of the shapes that it takes")
         return self._number.value
+
+
+@cache  # each is a class that ctypes makes
+def _signature(words: tuple[type, ...]) -> Callable[[int], Callable[..., int]]:
+    """How a kernel is called: where its number and its error go, and its words."""
+    kinds = [ctypes.c_double if issubclass(word, float) else ctypes.c_int64 for word in words]
+    return ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, *kinds)
 
 
 def _words(argument: Any) -> Sequence[float]:
