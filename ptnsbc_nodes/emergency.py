@@ -28,8 +28,11 @@ from typing import Any, NamedTuple, get_type_hints
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.files import replacing
 
-APART, LAND, KILL = "apart", "land", "kill"
-_RANKS = {"": 0, APART: 1, LAND: 2, KILL: 3}
+RETURN, APART, LAND, KILL = "return", "apart", "land", "kill"
+_RANKS = {"": 0, RETURN: 1, APART: 2, LAND: 3, KILL: 4}
+PASSING = (RETURN, APART)
+"""Orders that no bridge obeys after its restart."""
+
 _ALL = "all"
 _ORDER_FILE, _FLEET_FILE = "order.json", "fleet.json"
 _LARGEST_FILE = 1 << 16  # [bytes]
@@ -58,7 +61,7 @@ class RuntimeFolderError(PtnsbcError):
 class Order(NamedTuple):
     """The action that every vehicle must take."""
 
-    # "land", "kill", "apart" (from a bridge: hold apart by height, then land) or nothing
+    # "land", "kill", "apart" (from a bridge: hold apart by height, then land), "return" (one vehicle alone) or nothing
     what: str = ""
     pilots_too: bool = False  # also a vehicle in a pilot's hands
 
@@ -76,9 +79,9 @@ class Order(NamedTuple):
 
 
 def parse_order(text: str) -> Order | None:
-    """`apart`, `land`, `kill`, `land all`, `kill all`; None for anything else."""
+    """`return`, `apart`, `land`, `kill`, `land all`, `kill all`; None for anything else."""
     what, _, rest = text.partition(" ")
-    if not what or what not in _RANKS or rest not in ("", _ALL) or (what == APART and rest):
+    if not what or what not in _RANKS or rest not in ("", _ALL) or (what in PASSING and rest):
         return None
     return Order(what, bool(rest))
 

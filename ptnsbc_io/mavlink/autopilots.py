@@ -143,6 +143,11 @@ class Autopilot(NamedTuple):
         10.0  # still in its own mode after so long without setpoints, it is told to land
     )
 
+    @property
+    def returns(self) -> bool:
+        """True if it flies home by a mode of its own, as RTL."""
+        return self.number in (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """The name of the mode in a HEARTBEAT."""
         if self.attitude_only:
@@ -171,6 +176,7 @@ _OLD_NAMES: Mapping[str, tuple[str, float]] = {
     "PSC_VELXY_I": ("PSC_NE_VEL_I", 1.0),
     "PSC_VELXY_D": ("PSC_NE_VEL_D", 1.0),
     "PSC_JERK_XY": ("PSC_JERK_NE", 1.0),
+    "RTL_ALT": ("RTL_ALT_M", 0.01),
 }
 """Parameters of ArduCopter before 4.7: their names since, and the unit of an old value in that of a new one."""
 _PX4_MAIN = "- MANUAL ALTCTL POSCTL - ACRO OFFBOARD STABILIZED RATTITUDE SIMPLE TERMINATION"
@@ -201,7 +207,7 @@ PX4 = Autopilot(
     parameters=(
         "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT", "NAV_DLL_ACT", "COM_DISARM_PRFLT", "MPC_XY_VEL_MAX",
         "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_ACC_HOR_MAX", "MPC_ACC_UP_MAX", "MPC_TILTMAX_AIR", "MPC_THR_HOVER",
-        "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_XY_VEL_D_ACC", "MC_ROLL_P",
+        "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_XY_VEL_D_ACC", "MC_ROLL_P", "RTL_RETURN_ALT",
     ),
 )  # fmt: skip
 ARDUPILOT = Autopilot(
@@ -272,12 +278,16 @@ _PX4_WITHOUT_SETPOINTS = (  # by COM_OBL_RC_ACT
 )
 
 
+_RETURN_HEIGHTS = ("RTL_RETURN_ALT", "RTL_ALT_M")  # of PX4, of ArduCopter
+
+
 def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) -> str:
     """The words for how an armed vehicle goes on without its companion, by its mode and parameters."""
     if mode is FlightMode.LAND:
         return "it lands by itself"
     if mode is FlightMode.RETURN:
-        return "it returns by itself"
+        heights = [f"{name}={values[name]:g} m" for name in _RETURN_HEIGHTS if name in values]
+        return " at ".join(["it returns by itself", *heights])
     if mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
         return "it hovers until somebody lands it or its battery is low"
     if mode is FlightMode.OTHER:

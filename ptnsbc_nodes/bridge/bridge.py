@@ -26,7 +26,7 @@ from ptnsbc_nodes.bridge.procedure.steps import (
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle_monitor import TRUTH_MESSAGES, VEHICLE_MESSAGES, VehicleMonitor
-from ptnsbc_nodes.emergency import APART
+from ptnsbc_nodes.emergency import APART, PASSING, RETURN
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.mavlink import VehicleLink
 
@@ -271,7 +271,8 @@ class Bridge:
             rebooted=vehicle.rebooted,
             duplicate_sysid=vehicle.pose.clock.jumps_to_and_fro(now_s)
             or (rival_s is not None and now_s - rival_s < _DUPLICATE_S),
-            stop_request="" if told_apart else order.what,
+            stop_request="" if order.what in PASSING else order.what,
+            told_home=order.what == RETURN and vehicle.autopilot.returns,
             hazard=self.watch.hazard or ("told by another bridge" if told_apart else ""),
             apart=abs(publisher.height_over_world_m - self.stream.layer_m) < _APART_M,
             below=placement.below(inputs.near_uavs) if leaves or step is Step.APART else "",

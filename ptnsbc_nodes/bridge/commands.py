@@ -61,6 +61,8 @@ class Commands:
             case CommandRequest.TAKEOFF:  # of vehicles that do not climb by setpoints
                 place = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
                 return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", *place)
+            case CommandRequest.RETURN:
+                return self._mode(FlightMode.RETURN, "return")
             case CommandRequest.LAND:
                 # By mode and by command in turn: every autopilot understands one of the two.
                 self._landings += 1

@@ -23,7 +23,7 @@ from ptnsbc_nodes.comm.diagnostics import (
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency import (
-    APART,
+    PASSING,
     Order,
     OrderPort,
     VehicleRecord,
@@ -41,6 +41,7 @@ _STATES: Mapping[Step, SafetyState] = {
     Step.LAND: SafetyState.LAND,
     Step.DISARM: SafetyState.LAND,
     Step.FAILSAFE: SafetyState.STOP,
+    Step.RETURN: SafetyState.STOP,
     Step.YIELDED: SafetyState.STOP,
     Step.KILL: SafetyState.STOP,
     Step.FAILED: SafetyState.STOP,
@@ -89,7 +90,7 @@ class OrderDesk:
         """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
         if self._bridge.ports.inputs.take(order):
             self._bridge.ports.log(f"emergency: {order.text}")
-            if self._folder is not None and order.what != APART:
+            if self._folder is not None and order.what not in PASSING:
                 with suppress(OSError):
                     latch(self._folder, order)
 

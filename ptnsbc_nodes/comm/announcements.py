@@ -17,7 +17,7 @@ from ptnsbc_core.types import LEGS
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency import Order, parse_order
+from ptnsbc_nodes.emergency import RETURN, Order, parse_order
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_sim.scenario.slots import Slots, SlotsError, require_slots
@@ -94,7 +94,7 @@ def decode_order(data: bytes) -> Order:
     """An order of the operator, or of a bridge that gives the formation up; WireError for any other words."""
     text = decode_header(data).frame_id
     order = parse_order(text)
-    if order is None:
+    if order is None or order.what == RETURN:  # that is for one vehicle
         raise WireError(
             f"order {text[:_SHOWN]!r}: expected land, kill, land all, kill all or apart"
         )

@@ -29,6 +29,7 @@ from ptnsbc_nodes.bridge.procedure.steps import SILENT_S, CommandRequest, Step
 from ptnsbc_nodes.emergency import (
     KILL,
     LAND,
+    RETURN,
     Order,
     OrderClient,
     VehicleRecord,
@@ -316,6 +317,49 @@ def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
             text = f"silent: the bridge{pid} does not answer; last: {record.state}{past}"
         text += f"; {record.fate}" if record.fate and record.armed else ""
     return VehicleOutcome(record.called, obeyed, text)
+
+
+def order_return(folder: Path, uav: int, patience_s: float) -> str:
+    """Send one vehicle home by its autopilot's own mode, by its bridge on this host; what it does in words.
+
+    Raises:
+        PtnsbcError: it cannot return, another one does, or it has not obeyed in time.
+    """
+    name = f"bridge{uav}"
+    known = {record.name: record for record in records(folder)}
+    record = known.get(name)
+    if record is None or not record.alive:
+        raise PtnsbcError(
+            f"{name}: no bridge of this host: expected the computer of that bridge, or its pilot"
+        )
+    home = [each.called for each in known.values() if _goes_home(each) and each.name != name]
+    problem = {
+        f"{record.autopilot} has no mode that returns": not AUTOPILOTS[record.autopilot].returns,
+        f"{', '.join(home)} returns, and ways home cross": bool(home),
+        "its pilot flies it": record.in_pilots_hands,
+        "it is not in the air": not record.armed or record.landed,
+    }
+    if why := next((text for text, holds in problem.items() if holds), ""):
+        raise PtnsbcError(f"{record.called}: told nothing: {why}")
+    client, until_s = OrderClient(folder), time.monotonic() + patience_s
+    try:
+        while not _goes_home(record) and time.monotonic() < until_s:
+            client.send(name, Order(RETURN))
+            select.select([client], [], [], _REPEAT_S)
+            answers = filter(None, map(decode_record, client.answers()))
+            record = next((each for each in answers if each.name == name), record)
+    finally:
+        client.close()
+    if not _goes_home(record):
+        raise PtnsbcError(
+            f"{record.called}: not obeyed after {patience_s:g} s, and asked on: {record.state}: "
+            "expected its pilot to take it, or ptnsbc stop, which lands all"
+        )
+    return f"{record.called}: returns, {record.state}: {record.fate}"
+
+
+def _goes_home(record: VehicleRecord) -> bool:
+    return record.armed and FlightMode.named(record.mode) is FlightMode.RETURN
 
 
 def order_landing(folder: Path, remote: LauncherNode) -> list[str]:

@@ -199,6 +199,10 @@ def stop(
     clear: Annotated[
         bool, option("--clear", "Give no order: release the one that holds on this host.")
     ] = False,
+    home: Annotated[
+        list[int] | None,
+        option("--return N", "Send UAV N home by its autopilot's own mode, and no other one."),
+    ] = None,
     patience: Annotated[
         float, option("--patience S", "Repeat the order for at most this time.", 0.5, LONGEST_S)
     ] = 10.0,
@@ -208,10 +212,20 @@ def stop(
     """Land every vehicle of a flying fleet, or stop its motors.
 
     Repeats until every bridge has answered. The order holds: a bridge that starts again obeys it too, until a
-    new `ptnsbc fleet` or --clear releases it. Prints what every vehicle does.
+    new `ptnsbc fleet` or --clear releases it. Prints what every vehicle does. --return is for one vehicle, and
+    is not held.
     """
+    if home and (len(home) > 1 or kill or pilots_too or ready or clear):
+        raise typer.BadParameter(
+            "--return: expected one UAV and no other order: ways home cross, and without it each lands where it is"
+        )
     number = _flying_domain(domain)
     folder = runtime_folder(number, namespace)
+    if home:
+        from ptnsbc_nodes.fleet.emergency_stop import order_return
+
+        console.say(order_return(folder, home[0], patience))
+        return
     if clear:
         held = release(folder)
         forget_dead(folder)

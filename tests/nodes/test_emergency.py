@@ -36,12 +36,14 @@ from ptnsbc_nodes.emergency import (
 LAND, KILL = Order("land"), Order("kill")
 
 
-@pytest.mark.parametrize("text", ["land", "kill", "land all", "kill all"])
+@pytest.mark.parametrize("text", ["land", "kill", "land all", "kill all", "apart", "return"])
 def test_an_order_reads_what_it_writes(text):
     assert parse_order(text).text == text
 
 
-@pytest.mark.parametrize("text", ["", "all", "kill  all", "Kill", "kill none", "start", "x" * 5000])
+@pytest.mark.parametrize(
+    "text", ["", "all", "kill  all", "Kill", "return all", "start", "x" * 5000]
+)
 def test_anything_else_is_no_order(text):
     assert parse_order(text) is None
 
@@ -52,6 +54,14 @@ def test_a_kill_is_never_taken_down_to_a_landing():
     assert KILL.then(LAND) == KILL
     assert KILL.then(Order("land", pilots_too=True)) == KILL
     assert KILL.then(Order()) == KILL
+
+
+def test_whoever_returns_still_lands_with_the_others_and_gives_way():
+    home = Order("return")
+    assert [home.then(Order(what)).what for what in ("apart", "land", "kill")] == [
+        "apart", "land", "kill"
+    ]  # fmt: skip
+    assert LAND.then(home) == LAND
 
 
 def test_a_landing_of_a_pilots_vehicle_is_no_order_to_kill_it():

@@ -24,7 +24,9 @@ HEARD_S = 2.0
 _UP = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
 _ARMED = frozenset(step.value for step in (Step.ARMED, *_UP))
 _READY = frozenset(step.value for step in (Step.READY, Step.ARM, Step.ARMED, *_UP))
-_OUT = frozenset(step.value for step in (Step.FAILED, Step.DONE, Step.YIELDED, Step.DISARM))
+_OUT = frozenset(
+    step.value for step in (Step.FAILED, Step.DONE, Step.RETURN, Step.YIELDED, Step.DISARM)
+)
 _CLEAR_M = 1.5  # a vehicle so high above the ground has left room for the next one to lift off
 
 

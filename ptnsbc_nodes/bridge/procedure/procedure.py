@@ -7,6 +7,7 @@
     ARM … TAKEOFF   → DISARM: on the ground, and another does not fly, or a stop  → YIELDED: a pilot
     TAKEOFF … FLY   → FAILSAFE: no setpoints  → FLY: they are back  → LAND: nobody takes it over  → YIELDED
                     → APART: a hazard  → LAND                  → LAND: stop, battery, fence   → YIELDED: a pilot
+                    → RETURN: told so  → DONE                  → LAND: stop                   → YIELDED: a pilot
     FLY ⇄ HELD      where UAVs come and go: its controller is away
     HEARTBEAT       → FAILSAFE: its bridge has died in flight, and this one takes it over
     any step        → KILL → FAILED
@@ -184,7 +185,7 @@ class Procedure:
             self._enter(Transition(_STATES[self.step].after_limit, reason), now)
         stream, command = _stream_and_command(self, now)
         self.in_pilots_hands = self.flown_by_pilot(now)
-        out = self.step in (Step.YIELDED, Step.KILL, Step.APART, Step.DISARM, *OVER)
+        out = self.step in (Step.RETURN, Step.YIELDED, Step.KILL, Step.APART, Step.DISARM, *OVER)
         in_formation = not out and (self.step is not Step.LAND or now.leg == "land")
         self.output = ProcedureOutput(stream, self.memory.due(command, now.now_s), in_formation)
         return self.output
@@ -235,7 +236,9 @@ def _from_any_step(flight: Procedure, now: VehicleSnapshot) -> Transition | None
         return Transition(Step.FAILED, "the vehicle rebooted in flight")
     if step in FLYING:
         return _in_flight(flight, now)
-    if (step is Step.FAILSAFE and (stop or now.lands)) or (step is Step.YIELDED and stop):
+    if (step is Step.FAILSAFE and (stop or now.lands)) or (
+        step in (Step.RETURN, Step.YIELDED) and stop
+    ):
         return Transition(Step.LAND)
     return _before_arming(flight, now, stop) if step in BEFORE_ARMING else None
 
@@ -261,6 +264,8 @@ def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         early = flight.step is Step.TAKEOFF and now.height_m < LIFTED_M
         before = f"disarmed before it took off{now.vehicle_reason}"
         return Transition(Step.FAILED, before if early else "disarmed in flight")
+    if now.told_home and now.mode is FlightMode.RETURN:
+        return Transition(Step.RETURN, "told to return")
     silent = now.controller_age_s > STOP_S or flight.stood_still_s > 0.0
     silent = silent and not flight.may_hold(now)
     # The last HEARTBEAT of a failsafe may arrive after the failsafe has ended.
@@ -463,6 +468,14 @@ def _land(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     return None
 
 
+def _return(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
+    if not now.armed:
+        return Transition(Step.DONE)
+    if now.mode in (FlightMode.RETURN, FlightMode.LAND):
+        return None
+    return Transition(Step.YIELDED, f"the pilot took over: mode {now.mode_name}")
+
+
 def _motors_stop(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     return None if now.armed else Transition(Step.FAILED)
 
@@ -493,6 +506,7 @@ _STATES: Mapping[Step, State] = {
     Step.HELD: State(_held),
     Step.APART: State(_apart, 60.0, Step.LAND),
     Step.FAILSAFE: State(_failsafe),
+    Step.RETURN: State(_return),
     Step.YIELDED: State(_motors_stop),
     Step.LAND: State(_land, 180.0),
     Step.KILL: State(_motors_stop),
@@ -544,4 +558,6 @@ def _stream_and_command(
         Step.TAKEOFF: CommandRequest.TAKEOFF if now.height_m < LIFTED_M else None,
         Step.KILL: CommandRequest.KILL,
     }.get(step)
+    if now.told_home and step in FLYING:  # it follows its setpoints until its mode has changed
+        command = CommandRequest.RETURN
     return stream, command

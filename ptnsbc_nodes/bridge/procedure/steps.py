@@ -44,6 +44,7 @@ class Step(Enum):
     HELD = "held: its controller is away"
     APART = "holding apart by height"
     FAILSAFE = "no setpoints: left to the vehicle's failsafe"
+    RETURN = "returning by its own mode"
     YIELDED = "left to the pilot"
     LAND = "landing"
     KILL = "stopping the motors"
@@ -75,6 +76,7 @@ class CommandRequest(Enum):
     ARM = "arm"
     TAKEOFF = "take off"
     LAND = "land"
+    RETURN = "return"
     DISARM = "disarm"
     KILL = "disarm in flight"
 
@@ -110,6 +112,7 @@ class VehicleSnapshot:
     rebooted: bool = False
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
+    told_home: bool = False  # by the operator: it returns by its autopilot's own mode
     pilots_too: bool = False  # whether the request counts in a pilot's hands as well
     unfit: str = ""  # why the scenario's gains would swing the vehicle
     unready: str = ""  # why the vehicle would refuse to arm

@@ -41,6 +41,12 @@ def test_what_a_lab_should_know_before_it_flies():
 HOVERS = "until somebody lands it or its battery is low"
 
 
+@pytest.mark.parametrize("name", ["RTL_RETURN_ALT", "RTL_ALT_M"])
+def test_a_vehicle_that_returns_says_at_what_height(name):
+    words = f"it returns by itself at {name}=15 m"
+    assert fate(PX4, FlightMode.RETURN, {name: 15.0}) == words
+
+
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT, GENERIC])
 @pytest.mark.parametrize(
     ("mode", "words"),

@@ -478,3 +478,26 @@ def test_the_operators_stop_lands_a_vehicle_that_holds_apart():
     until(fleet, uav, Step.APART, 1.0)
     uav.inputs.take(Order("land"))
     until(fleet, uav, Step.LAND, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["px4", pytest.param("arducopter", marks=pytest.mark.slow)])
+def test_told_to_return_a_vehicle_comes_home_by_its_own_mode(kind):
+    if kind == "px4":
+        fleet, uav = one()
+    else:
+        fleet = MavlinkFleet(scenario(kind), kind, count=1).airborne().form().run(2.0)
+        uav = fleet.uavs[1]
+    fleet.set_parameter("RTL_RETURN_ALT" if kind == "px4" else "RTL_ALT_M", 5.0)
+    uav.inputs.take(Order("return"))
+    until(fleet, uav, Step.RETURN, 4.0)
+    assert uav.bridge.fate.startswith("it returns by itself at RTL_")
+    until(fleet, uav, Step.DONE, 60.0)
+    away = uav.vehicle.flight.truth.position_enu - uav.vehicle.home_local_enu
+    assert np.linalg.norm(away) < 2.0
+
+
+def test_a_generic_vehicle_is_told_nothing_of_a_return():
+    fleet = MavlinkFleet(scenario("stm32", "attitude"), "stm32", count=1).airborne()
+    fleet.uavs[1].inputs.take(Order("return"))
+    fleet.run(2.0)
+    assert fleet.uavs[1].step is Step.AIRBORNE

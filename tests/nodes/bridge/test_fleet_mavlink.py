@@ -13,6 +13,7 @@ from mavlink_fleet import AUTOPILOTS, MavlinkFleet, scenario
 from ptnsbc_autopilot.fault_lines import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
+from ptnsbc_nodes.emergency import Order
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on
@@ -316,6 +317,30 @@ def test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land():
     assert "formation given up: its position jumped by 2.5 m" in faults[2]
     assert "formation given up: told by another bridge" in faults[1]
     assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
+    assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+def test_one_vehicle_goes_home_and_the_others_fly_on_clear_of_it(kind):
+    """At a height within the formation, which is the worst one."""
+    fleet = MavlinkFleet(scenario(kind, duration_s=60.0), kind, count=3)
+    fleet.set_parameter("RTL_RETURN_ALT" if kind == "px4" else "RTL_ALT_M", 4.0)
+    fleet.airborne().form().run(4.0)
+    home, *others = fleet.uavs[3], fleet.uavs[1], fleet.uavs[2]
+    home.inputs.take(Order("return"))
+    nearest = []
+
+    def landed():
+        places = [uav.vehicle.flight.truth.position_enu for uav in (home, *others)]
+        nearest.append(min(float(np.linalg.norm(places[0] - other)) for other in places[1:]))
+        assert {uav.step for uav in others} == {Step.FLY}
+        return home.step is Step.DONE
+
+    fleet.run(60.0, until=landed)
+    assert home.step is Step.DONE, home.step
+    assert min(nearest) > 0.5
+    fleet.land()
     assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 3
 
 

@@ -15,6 +15,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_wires import Far, heartbeat
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_nodes.emergency import (
     Order,
@@ -26,7 +27,7 @@ from ptnsbc_nodes.emergency import (
     write_record,
 )
 from ptnsbc_nodes.fleet import emergency_stop
-from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop, land_left_behind
+from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop, land_left_behind, order_return
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 LAND, KILL = Order("land"), Order("kill")
@@ -65,8 +66,9 @@ class OneBridge:
             self.record = replace(self.record, order=order.text)
             return
         fault = "motors stopped by the operator" if order.what == "kill" else ""
+        mode = {"return": "RTL"}.get(order.what, "LAND")
         self.record = replace(
-            self.record, order=order.text, armed=order.what != "kill", fault=fault, mode="LAND"
+            self.record, order=order.text, armed=order.what != "kill", fault=fault, mode=mode
         )
 
     def answer(self):
@@ -508,3 +510,43 @@ def test_the_dead_bridges_of_an_earlier_flight_are_not_asked(bridge, give, dead)
     done, found = give(LAND, 0.2)
     assert not done
     assert found == {}
+
+
+def test_one_vehicle_alone_is_sent_home_and_nothing_is_latched(bridge, tmp_path):
+    one, other = bridge("bridge1", label="red").open(), bridge("bridge2").open()
+    one.ignores = 2  # repeated until it shows
+    assert order_return(tmp_path, 1, PATIENCE_S).startswith("bridge1 (red): returns, armed")
+    assert {order.text for order in one.orders} == {"return"}
+    assert other.orders == [] and latched(tmp_path) == Order()
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"autopilot": "generic"}, "generic has no mode that returns"),
+        ({"autopilot": "ros"}, "ros has no mode that returns"),
+        ({"in_pilots_hands": True}, "its pilot flies it"),
+        ({"armed": False}, "it is not in the air"),
+        ({"landed": True}, "it is not in the air"),
+        ({"ended": True}, "no bridge of this host"),
+    ],
+)
+def test_who_cannot_return_is_told_nothing(bridge, tmp_path, changes, why):
+    one = bridge("bridge1", **changes).open()
+    with pytest.raises(PtnsbcError, match=why):
+        order_return(tmp_path, 1, PATIENCE_S)
+    assert one.orders == []
+
+
+def test_ways_home_cross(bridge, tmp_path):
+    bridge("bridge2", mode="RTL", in_pilots_hands=True)
+    one = bridge("bridge1").open()
+    with pytest.raises(PtnsbcError, match="bridge2 returns, and ways home cross"):
+        order_return(tmp_path, 1, PATIENCE_S)
+    assert one.orders == []
+
+
+def test_a_vehicle_that_does_not_return_is_named(bridge, tmp_path):
+    bridge("bridge1").open().ignores = 10**6
+    with pytest.raises(PtnsbcError, match=r"bridge1: not obeyed .* asked on: armed .* in OFFBOARD"):
+        order_return(tmp_path, 1, 0.1)

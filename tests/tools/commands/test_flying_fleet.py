@@ -141,6 +141,15 @@ def test_a_landing_is_told_to_the_leader_as_well(bridge, middleware, folder, cap
     assert middleware.called == ["stop"]
 
 
+@pytest.mark.parametrize("more", [{"home": [1, 2]}, {"home": [1], "kill": True}])
+def test_ways_home_cross_so_one_vehicle_alone_returns(bridge, folder, more):
+    bridge()
+    given = {"kill": False, "pilots_too": False, "ready": False, "clear": False, "domain": DOMAIN}
+    with pytest.raises(typer.BadParameter, match="expected one UAV and no other order"):
+        command.stop(**{**given, **more})
+    assert latched(folder) == Order()
+
+
 def test_who_is_missing_is_named(bridge, middleware, folder, capsys):
     list_fleet(folder, ["bridge1", "bridge2"])
     bridge()

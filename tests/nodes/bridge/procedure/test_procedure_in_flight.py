@@ -131,6 +131,41 @@ def test_the_pilot_takes_over_and_the_bridge_yields(mode):
     assert flight.streams(taken + DT) == {Stream.NONE}
 
 
+def test_told_to_return_it_follows_its_setpoints_until_its_mode_has_changed_and_is_left_alone():
+    flight = Flight().flying()
+    told = flight.snapshot.now_s
+    flight.run(2.5, told_home=True)
+    assert flight.step is Step.FLY
+    assert flight.requested(told) == [CommandRequest.RETURN] * 3  # until it is confirmed
+    assert flight.streams(told) == {Stream.PLANNER}
+    home = flight.snapshot.now_s
+    flight.run(5.0, mode=FlightMode.RETURN)
+    assert flight.step is Step.RETURN and not flight.procedure.in_pilots_hands
+    assert flight.procedure.fault == "told to return"
+    assert flight.requested(home) == [] and flight.streams(home + DT) == {Stream.NONE}
+    assert not flight.history[-1][2].in_formation
+    flight.run(1.0, armed=False, mode=FlightMode.OWN)
+    assert flight.step is Step.DONE
+
+
+@pytest.mark.parametrize(("order", "step"), [("land", Step.LAND), ("kill", Step.KILL)])
+def test_on_its_way_home_the_operators_orders_reach_it_and_so_does_a_pilot(order, step):
+    def home():
+        return Flight().flying().run(1.0, told_home=True, mode=FlightMode.RETURN)
+
+    assert home().run(DT, told_home=False, stop_request=order).step is step
+    flight = home().run(1.0, mode=FlightMode.OTHER, mode_name="POSCTL")
+    assert flight.step is Step.YIELDED
+    assert flight.procedure.fault.endswith("the pilot took over: mode POSCTL")
+
+
+def test_a_pilots_mode_comes_before_an_order_to_return():
+    flight = Flight().flying()
+    flight.run(2.0, mode=FlightMode.OTHER, mode_name="POSCTL", told_home=True)
+    assert flight.procedure.fault == "the pilot took over: mode POSCTL"
+    assert flight.history[-1][2].command is None
+
+
 def test_the_pilot_takes_over_before_arming():
     flight = Flight()
     flight.ignored = {CommandRequest.ARM}
