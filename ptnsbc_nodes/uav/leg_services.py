@@ -1,7 +1,7 @@
 """The operator's services on the leader: /formation/{start,hold,land,stop} announce a leg.
 
 With a mission there are /formation/leg_N, which begins leg N, /formation/cancel, and /formation/mission, which answers
-with the legs as JSON.
+with the legs as JSON. Before the first epoch leg_N starts the flight: the formation comes about, and leg N follows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.nanoseconds import seconds
+from ptnsbc_core.nanoseconds import nanoseconds, seconds
 from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate
 from ptnsbc_nodes.comm import topics
@@ -27,7 +27,15 @@ from ptnsbc_nodes.comm.legs import FIRST_LEG
 from ptnsbc_nodes.uav.clocks import LEAD_NS, UavClock
 from ptnsbc_nodes.uav.uav_controller import UavController, UavFlight
 from ptnsbc_sim.scenario.approach.deadline import leg_room
-from ptnsbc_sim.scenario.mission.legs import CANCEL, ScheduledLeg, leg_names, utc_time, word_text
+from ptnsbc_sim.scenario.mission.legs import (
+    CANCEL,
+    ScheduledLeg,
+    Word,
+    formed_s,
+    leg_names,
+    utc_time,
+    word_text,
+)
 
 _MOST_WAIT_S = 3600.0  # for the start of a mission
 
@@ -143,15 +151,17 @@ class LegServices:
     def _refusal(self, name: str) -> str | None:
         if refused := self._requests.refusal(name):
             return refused
-        if not self._flight.epochs.announced and name != "start":
+        announced, begins = self._flight.epochs.announced, self._words.get(name, CANCEL) != CANCEL
+        starts = name == "start" or (begins and not announced)
+        if not (announced or starts or name == LIST_SERVICE):
             return "not started: call /formation/start first"
         start_ns = self._start_ns()
-        if start_ns is not None and not self._flight.epochs.announced:
+        if starts and start_ns is not None and not announced:
             ahead_s = seconds(start_ns - self._clock.now_ns() - LEAD_NS)
             if not 0.0 <= ahead_s <= _MOST_WAIT_S:
                 when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
                 return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
-        missing = self._waiting_for() if name == "start" else ()
+        missing = self._waiting_for() if starts else ()
         return f"the leader waits for {', '.join(missing)}" if missing else None
 
     def _list(self) -> str:
@@ -175,13 +185,14 @@ class LegServices:
 
     def _begin_leg(self, number: int) -> tuple[bool, str]:
         """Begin a leg of the mission, or cancel the present one: whether that can be flown, and a sentence."""
-        now_ns, scenario = self._clock.now_ns(), self._flight.epochs.scenario
-        leg = self._flight.epochs.at(now_ns)
-        if leg is None or leg.mode != MODE_FORMATION:
+        epochs, now_ns = self._flight.epochs, self._clock.now_ns()
+        scenario, leg, announced = epochs.scenario, epochs.at(now_ns), epochs.announced
+        if announced and (leg is None or leg.mode != MODE_FORMATION):
             name = "no leg" if leg is None else f"leg {leg.name}"
             return False, f"{name} is flown: expected the formation, which flies the mission"
-        t0_ns = now_ns + LEAD_NS
-        word = self._flight.epochs.word(t0_ns, number)
+        word = Word(number, formed_s(scenario.legs, number))
+        if announced:
+            word = epochs.word(now_ns + LEAD_NS, number)
         try:
             flown = scenario.with_words((*scenario.words, word))
         except PtnsbcError as error:
@@ -192,8 +203,11 @@ class LegServices:
             room = leg_room(flown, leg_flown, until_s)
             if room.advice:
                 return False, f"leg {room.value}: expected {room.expected}; {room.advice}"
+        if not announced:
+            self._announce("start")
         text = word_text(number)
-        if not self._flight.epochs.announce(t0_ns, text):
+        t0_ns = (epochs.first_t0_ns or 0) + nanoseconds(word.at_s)
+        if not epochs.announce(t0_ns, text):
             return False, "another leg was begun just now: try again"
         self._publish(HeaderTemplate(text).encode(t0_ns))
         begun = legs[0]

@@ -68,7 +68,8 @@ def start(
 ) -> None:
     """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused.
 
-    Leg 1 starts a flight that waits for its operator (`ptnsbc fleet --wait`).
+    A flight that waits for its operator (`ptnsbc fleet --wait`) is started by leg 1, and by another leg too: the
+    formation comes about first, and the legs between are left out.
     """
     if leg == _FIRST:
         console.say(_answer("start", domain, namespace))

@@ -278,6 +278,12 @@ def leg_names(mission: Mission) -> list[str]:
     return [leg.name or f"{leg.kind}-{number}" for number, leg in enumerate(mission.legs, 1)]
 
 
+def formed_s(legs: Sequence[ScheduledLeg], number: int) -> float:
+    """The time at which leg `number` may take the place of those after the formation has come about."""
+    before = [timed for timed in legs if timed.number < number]
+    return next((timed for timed in before if isinstance(timed.leg, FormLeg)), before[-1]).end_s
+
+
 def begin_of(mission: Mission, leg: Any) -> float | None:
     """The latest begin of a leg [s]; None: when the last one is done, or when it is said."""
     if leg.at is not None and mission.start is not None:

@@ -15,6 +15,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
 from ptnsbc_nodes.emergency import Order
 from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario.mission.legs import formed_s
 from ptnsbc_sim.scenario.mission.route import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.deadline import MET
@@ -318,6 +319,29 @@ def test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land():
     assert "formation given up: told by another bridge" in faults[1]
     assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
     assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 3
+
+
+@pytest.mark.slow
+def test_after_an_abort_vehicles_take_off_again_and_go_on_with_a_later_leg():
+    """As `ptnsbc mission start far` begins it, when all wait in the air."""
+    kind = "arducopter"
+    legs = [
+        *MISSION["mission.legs"][:3],
+        {"kind": "go_to", "name": "far", "position_m": [3, 2, 6], "over_s": 8},
+        {"kind": "land", "over_s": 16},
+    ]
+    changes = {
+        "mavlink.autopilot": AUTOPILOTS[kind],
+        "timing.duration_s": 40.0,
+        "mission.legs": legs,
+    }
+    made = load_scenario("take_off_4", {**MISSION, **changes, "world.obstacles": []}).bridged()
+    fleet = MavlinkFleet(made, kind, gnss="perfect", count=2).airborne().form()
+    fleet.announce("mission 4", 0.5 + formed_s(made.legs, 4))
+    fleet.run(60.0, until=lambda: all(uav.step is Step.DONE for uav in fleet.uavs.values()))
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+    leader = np.array(fleet.uavs[made.leader.id].odometry)
+    assert np.linalg.norm(leader[-1, 0:2] - (3.0, 2.0)) < 0.3
 
 
 @pytest.mark.slow

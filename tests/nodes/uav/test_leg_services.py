@@ -183,7 +183,8 @@ def test_leader_takes_words_on_the_legs_of_a_mission(ros):
         {"kind": "go_to", "name": "far", "position_m": [500, 5, 6], "over_s": 4, "on": "word"},
     ]
     others = Others(ros, load_scenario("paper_5_free", {"mission": {"legs": legs}}), LEADER)
-    assert "call /formation/start first" in call(ros, others.node, "leg_2").message
+    assert "call /formation/start first" in call(ros, others.node, "cancel").message
+    assert call(ros, others.node, "leg_2").message == "the leader waits for /formation/epoch"
     Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
     ros.spin_until(lambda: not others.uav.waiting_for())
     assert call(ros, others.node, "start").success
@@ -203,6 +204,27 @@ def test_leader_takes_words_on_the_legs_of_a_mission(ros):
     ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "mission 2")])
     told = json.loads(call(ros, others.node, "mission").message)
     assert told["legs"][1]["begin_s"] == 0.5
+
+
+def test_a_fleet_that_waits_begins_with_the_formation_and_goes_on_with_a_later_leg(ros):
+    """As after an abort, when it has taken off again."""
+    legs = [
+        {"kind": "form", "over_s": 8, "stay_s": 1},
+        {"kind": "go_to", "name": "gate", "position_m": [2, 5, 6], "over_s": 40},
+        {"kind": "go_to", "name": "back", "position_m": [0, 5, 6], "over_s": 10},
+        {"kind": "go_to", "name": "far", "position_m": [500, 5, 6], "over_s": 4, "on": "word"},
+    ]
+    others = Others(ros, load_scenario("paper_5_free", {"mission": {"legs": legs}}), LEADER)
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    told = json.loads(call(ros, others.node, "mission").message)
+    assert told["now_s"] is None and told["legs"][2]["begin_s"] == 49.0
+    refused = call(ros, others.node, "leg_4")
+    assert refused.message.startswith("leg far leaves -")
+    assert not others.uav.flight.epochs.announced
+    begun = call(ros, others.node, "leg_3")
+    assert begun.message == "leg back from 9.00 s, due at 19.00 s"
+    ros.spin_until(lambda: others.epochs == [(0, "form"), (9_000_000_000, "mission 3")])
 
 
 def test_a_mission_that_should_have_begun_is_not_started(ros):
