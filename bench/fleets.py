@@ -154,7 +154,7 @@ def _status_percent(scenario: Scenario, cores: float) -> float:
         uav.endpoints.last_word()  # the first one is logged
 
         def report() -> None:
-            time.sleep(0.02)  # not waited for anything: the caches shall be cold, as in flight
+            time.sleep(0.005)  # other programs run since the last wake-up, as in flight
             uav.endpoints.last_word()
 
         status_s = cpu_seconds(report, 50)
