@@ -15,7 +15,7 @@ from ptnsbc_core.nanoseconds import seconds
 from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
-from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
+from ptnsbc_sim.tick import SwarmState, advance_all, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack
 
 _SVD = "NumPy 3×3 SVD"
@@ -46,25 +46,23 @@ def _laws(ticks: int, swarm: SwarmState) -> float:
     dt, total = seconds(swarm.wiring.dt_ns), 0.0
     for tick in range(ticks):
         t = seconds(tick * swarm.wiring.dt_ns)
+        sense(swarm, tick, None)
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, tick, row, None)
             swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             total += out.force[2]
+        advance_all(tick, swarm, None)  # by the wrenches as flown: so are the inputs
     return total
 
 
 @kernel
 def _plant(ticks: int, swarm: SwarmState) -> float:
     for tick in range(ticks):
-        for row in range(swarm.bodies.shape[0]):
-            advance_plant(swarm, tick, row, None)
+        advance_all(tick, swarm, None)
     return 0.0
 
 
-_Pass = Callable[[int, SwarmState], float]
-
-
-_PASSES = {"sensing": _sense, "inputs": _inputs, "laws": _laws, "plant": _plant}
+_PASSES = {"laws": _laws, "sensing": _sense, "inputs": _inputs, "plant": _plant}
 
 
 def measure(plan: Plan) -> Sequence[Row]:
@@ -92,7 +90,7 @@ def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
 
 
 def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:
-    """The cost of each piece per UAV and tick: each is run over the whole flight alone."""
+    """The cost of each piece per UAV and tick, over the whole flight; the others are taken off the pass of the laws."""
     flight = fly(scenario)
     for one in _PASSES.values():
         _pass_ns(one, flight, 1)
@@ -100,14 +98,13 @@ def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:
     found = take_turns(
         {name: partial(_pass_ns, one, flight, ticks) for name, one in _PASSES.items()}, repeats
     )
-    pairs = zip(found["laws"], found["inputs"], strict=True)
-    found["laws"] = [both - inputs for both, inputs in pairs]  # the pass makes the inputs as well
+    found["laws"] = [2 * one[0] - sum(one) for one in zip(*found.values(), strict=True)]
     return [
         Row(f"{name} per UAV and tick, N = {size}", values, "ns") for name, values in found.items()
     ]
 
 
-def _pass_ns(one: _Pass, flight: HeadlessFlight, ticks: int) -> float:
+def _pass_ns(one: Callable[[int, SwarmState], float], flight: HeadlessFlight, ticks: int) -> float:
     """CPU time of one pass per UAV and tick [ns]; it starts as the flight did and changes copies."""
     track = FlightTrack(*(array.copy() for array in flight.track))
     swarm = referred(swarm_of(flight.scenario, flight.swarm.wiring, track, None))
