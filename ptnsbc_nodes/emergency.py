@@ -295,9 +295,9 @@ class VehicleRecord:
     @property
     def state(self) -> str:
         """The vehicle's state in a few words."""
-        if not self.heard:
-            return f"the vehicle is silent, last {self._where}" if self.armed else "no vehicle"
-        return self._where
+        if self.heard:
+            return self._where
+        return f"silent, last {self._where}" if self.mode else "never heard"
 
     @property
     def _where(self) -> str:

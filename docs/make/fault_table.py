@@ -389,13 +389,15 @@ ANSWERS = (
         "its bridge, by HEARTBEAT, SYS_STATUS and the answer; the others, by its word",
         "30 s; 5 s if its checks pass",
         _STOP,
-        "the reason of the vehicle is told; no other arms, or all disarm on the ground and name it",
+        "the reason of the vehicle is told; no other arms, or all disarm on the ground and name it; those in the air "
+        "land",
         _NEVER,
         (
             f"{_BRIDGE}procedure/test_procedure.py::test_no_vehicle_is_ready_before_its_own_checks_pass",
             f"{_BRIDGE}procedure/test_procedure.py::test_arming_refused",
             f"{_BRIDGE}procedure/test_procedure.py::test_when_another_gives_up_this_one_stays_on_the_ground",
             f"{_BRIDGE}test_fleet_mavlink.py::test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground",
+            f"{_BRIDGE}test_fleet_mavlink.py::test_when_a_uav_process_stops_while_its_vehicle_arms_all_are_down_within_20_s",
         ),
     ),
     FaultAnswer(

@@ -129,11 +129,11 @@ def vehicle_record(bridge: Bridge, fixed: VehicleRecord) -> VehicleRecord:
     )
     if math.isinf(silence_s):  # not heard yet: only the bridge before it knew something
         return known
-    # After the flight the bridge listens no longer, and the vehicle's last word stands.
-    landed = procedure.over and bridge.flew and not vehicle.armed
+    # A bridge that is done listens no longer, and its vehicle's last word stands.
+    rests = procedure.over and not vehicle.armed
     return replace(
         known,
-        heard=landed or silence_s < HEARTBEAT_LOST_S,
+        heard=rests or silence_s < HEARTBEAT_LOST_S,
         armed=vehicle.armed,
         landed=bool(vehicle.landed) or (vehicle.armed and procedure.stands),
         in_pilots_hands=procedure.in_pilots_hands,

@@ -98,13 +98,24 @@ def repair(
         original: Path | None = source if moved is None else source.rename(moved)
         temporary.rename(target)
         if discard and original is not None:
-            shutil.rmtree(original) if original.is_dir() else original.unlink()
+            _discard(original, found, target)
             original = None
     except BaseException:
         for leftover in temporaries:
             shutil.rmtree(leftover, ignore_errors=True)
         raise
     return Repaired(target, original, done, damage.chunks, damage.times, damage.cut, last_ns)
+
+
+def _discard(damaged: Path, bag: Bag, repaired: Path) -> None:
+    """Remove a bag; what else lies in its folder, such as the logs of autopilots, goes into the repaired one."""
+    if not damaged.is_dir():
+        damaged.unlink()
+        return
+    own = {"metadata.yaml", *(file.name for file, _ in bag.files)}
+    for beside in (path for path in damaged.iterdir() if path.name not in own):
+        beside.rename(repaired / beside.name)
+    shutil.rmtree(damaged)
 
 
 def _rescued(writer: BagWriter, bag: Bag, damage: Damage) -> Iterator[BagMessage]:

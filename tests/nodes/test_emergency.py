@@ -252,7 +252,9 @@ def test_the_summary_after_a_flight(tmp_path):
 def test_the_state_in_words():
     assert RECORD.state == "armed at (1.0, 2.0, 3.0) m in OFFBOARD"
     silent = replace(RECORD, heard=False)
-    assert silent.state == "the vehicle is silent, last armed at (1.0, 2.0, 3.0) m in OFFBOARD"
+    assert silent.state == "silent, last armed at (1.0, 2.0, 3.0) m in OFFBOARD"
+    never = VehicleRecord("bridge3", 1, 3, "px4", "udpin:127.0.0.1:14542")
+    assert never.state == "never heard"
     down = replace(RECORD, armed=False, landed=True, place="")
     assert down.state == "disarmed, on the ground in OFFBOARD"
     stands = replace(RECORD, landed=True, place="")

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.bridge.procedure.steps import Companion, Position, Step
+from ptnsbc_nodes.bridge.procedure.steps import OVER, Companion, Position, Step
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
@@ -24,9 +24,7 @@ HEARD_S = 2.0
 _UP = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
 _ARMED = frozenset(step.value for step in (Step.ARMED, *_UP))
 _READY = frozenset(step.value for step in (Step.READY, Step.ARM, Step.ARMED, *_UP))
-_OUT = frozenset(
-    step.value for step in (Step.FAILED, Step.DONE, Step.RETURN, Step.YIELDED, Step.DISARM)
-)
+_OUT = frozenset(step.value for step in (*OVER, Step.LAND, Step.RETURN, Step.YIELDED, Step.DISARM))
 _CLEAR_M = 1.5  # a vehicle so high above the ground has left room for the next one to lift off
 
 

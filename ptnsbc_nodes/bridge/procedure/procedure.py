@@ -275,6 +275,9 @@ def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
         return Transition(Step.YIELDED, f"the pilot took over: mode {now.mode_name}")
     if now.stop_request or now.lands:
         return Transition(Step.LAND)
+    awaits = flight.step in (Step.TAKEOFF, Step.AIRBORNE) and now.leg is None
+    if now.companion_out and awaits and not flight.away_s:
+        return Transition(Step.LAND, f"no formation: {now.companion_out}")
     if unfit := now.battery_low or now.fence_breach:
         return Transition(Step.LAND, unfit)
     if now.hazard:

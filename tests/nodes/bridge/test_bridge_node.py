@@ -244,7 +244,7 @@ def left_in_flight(ros, **changes):
 
 
 def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge):
-    """Until it hears the vehicle it answers with that: "no vehicle" had counted as obeyed."""
+    """Until it hears the vehicle it answers with that: "never heard" had counted as obeyed."""
     folder = runtime_folder(ros.domain)
     left_in_flight(ros)
     list_fleet(folder, ["bridge3"])
@@ -257,7 +257,7 @@ def test_a_bridge_that_starts_knows_what_the_one_that_died_has_left(ros, bridge)
         operation.begin()
         assert not operation.run(1.3)
         (outcome,) = operation.outcomes()
-        assert outcome.text.startswith("answers, but the vehicle does not obey: the vehicle is sil")
+        assert outcome.text.startswith("answers, but the vehicle does not obey: silent, last armed")
         assert "told past it by MAVLink" in outcome.text  # after a second
     finally:
         operation.close()

@@ -239,6 +239,18 @@ def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground(fault, armed
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("step", [Step.ARM, Step.ARMED, Step.TAKEOFF])
+def test_when_a_uav_process_stops_while_its_vehicle_arms_all_are_down_within_20_s(step):
+    kind = "arducopter"
+    fleet = MavlinkFleet(scenario(kind), kind, count=2)
+    fleet.run(90.0, until=lambda: fleet.uavs[2].step is step)
+    fleet.uavs[2].alive = False
+    fleet.run(20.0, until=lambda: not any(uav.vehicle.armed for uav in fleet.uavs.values()))
+    fleet.run(5.0, until=lambda: all(uav.bridge.procedure.over for uav in fleet.uavs.values()))
+    assert "bridge2" in fleet.uavs[1].bridge.procedure.fault
+
+
+@pytest.mark.slow
 def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
     """2 and 3 stand 0.73 m apart, and keep 0.5 m."""
     fleet = MavlinkFleet(scenario(), count=3)

@@ -48,11 +48,11 @@ def bridge(step, *, armed, flew, silence_s):
         (Step.KILL, False, True, 5.0, False),  # not confirmed yet
         (Step.FAILED, False, True, 5.0, True),  # disarmed was its last word
         (Step.FAILED, True, True, 40.0, False),  # given up while it was silent
-        (Step.FAILED, False, False, 40.0, False),  # never flown
+        (Step.FAILED, False, False, 40.0, True),  # it stands where its bridge gave up
     ],
 )
 def test_after_the_flight_the_last_word_of_the_vehicle_stands(step, armed, flew, silence_s, heard):
-    """A starved bridge answered a kill three seconds after it had stopped the motors: "no vehicle"."""
+    """A starved bridge answered a kill three seconds after it had stopped the motors: "never heard"."""
     found = vehicle_record(bridge(step, armed=armed, flew=flew, silence_s=silence_s), BASE)
     assert found.heard is heard
 

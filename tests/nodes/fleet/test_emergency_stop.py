@@ -196,7 +196,7 @@ def test_a_silent_vehicle_is_not_said_to_have_landed(bridge, give):
     bridge("bridge1", heard=False).open()
     done, found = give(LAND, 0.5)
     assert not done
-    assert "the vehicle is silent" in found["bridge1"].text
+    assert "does not obey: silent, last armed" in found["bridge1"].text
 
 
 @pytest.mark.parametrize("order", [LAND, KILL])

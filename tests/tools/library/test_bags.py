@@ -119,7 +119,9 @@ def test_first_chunk_damaged(flight):
     content = bytearray(file.read_bytes())
     content[content.find(b"zstd") + 100] ^= 0xFF
     file.write_bytes(content)
+    (flight / "uav1.ulg").write_bytes(b"the log of an autopilot")
     made = repair(flight, discard=True)
+    assert (flight / "uav1.ulg").read_bytes() == b"the log of an autopilot"
     assert made.original is None
     assert (made.damaged_chunks, made.cut) == (1, False)
     assert contents(flight)[-1].topic == "/uav1/odom"

@@ -166,6 +166,19 @@ def test_a_pilots_mode_comes_before_an_order_to_return():
     assert flight.history[-1][2].command is None
 
 
+@pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE])
+def test_a_formation_that_cannot_begin_is_not_waited_for_in_the_air(step):
+    out = "bridge3 failed: no setpoints: the controller is silent"
+    flight = Flight().run(until=step)
+    flight.run(DT, companion_out=out, height_m=1.0)
+    assert flight.step is Step.LAND
+    assert flight.procedure.fault == f"no formation: {out}"
+    begun = Flight().flying().run(1.0, companion_out=out)
+    assert begun.step is Step.FLY
+    comes_and_goes = Flight(away_s=AWAY_S).run(until=Step.AIRBORNE).run(1.0, companion_out=out)
+    assert comes_and_goes.step is Step.AIRBORNE
+
+
 def test_the_pilot_takes_over_before_arming():
     flight = Flight()
     flight.ignored = {CommandRequest.ARM}
