@@ -178,7 +178,7 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
-    """The environment of the processes of a fleet; writes their discovery profile into `folder`."""
+    """The environment of the processes of a fleet; writes their profile of Fast DDS into `folder`."""
     prepare()
     refuse_lonely_middleware()
     child = dict(os.environ)
@@ -188,19 +188,18 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     # `-m ptnsbc_nodes...` must find the same code, installed or not.
     root = str(Path(__file__).resolve().parents[2])
     child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
-    if (
-        child["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-        and child.get("RMW_IMPLEMENTATION", _RMW) == _RMW
-        and not child.keys() & {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", *PROFILES}
-    ):  # the user has chosen no other discovery
-        profile = folder / "discovery.xml"
-        # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. This profile
-        # does the same with as many peers as there are, and with UDP alone.
-        template = files("ptnsbc_nodes.runtime").joinpath("profiles", "localhost.xml")
-        text = Template(template.read_text(encoding="utf-8"))
-        profile.write_text(text.substitute(processes=processes + _SPARE_PEERS), encoding="utf-8")
-        child[PROFILES[0]] = str(profile)
-        # With any other value rmw_fastrtps would override the profile.
+    if child.get("RMW_IMPLEMENTATION", _RMW) != _RMW or child.keys() & set(PROFILES):
+        return child
+    elsewhere = child.keys() & {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"}
+    alone = child["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and not elsewhere
+    # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. The profile of one host
+    # does the same with as many peers as there are, and with UDP alone. That of a network leaves discovery to the user.
+    template = files("ptnsbc_nodes.runtime") / "profiles" / f"{'host' if alone else 'network'}.xml"
+    text = Template(template.read_text(encoding="utf-8"))
+    profile = folder / "dds.xml"
+    profile.write_text(text.substitute(processes=processes + _SPARE_PEERS), encoding="utf-8")
+    child[PROFILES[0]] = str(profile)
+    if alone:  # with any other value rmw_fastrtps would override the profile
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     return child
 

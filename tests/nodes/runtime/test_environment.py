@@ -114,7 +114,11 @@ def test_children_probe_as_many_peers_as_there_are(own_discovery, tmp_path):
     assert re.findall("<address>(.*?)</address>", profile) == ["127.0.0.1"] * 2
 
 
-def test_the_profile_of_children_fits_the_schema_of_fast_dds(own_discovery, tmp_path):
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+def test_the_profile_of_children_fits_the_schema_of_fast_dds(
+    own_discovery, monkeypatch, tmp_path, reach
+):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
     etree = pytest.importorskip("lxml.etree")
     found = [
         path
@@ -135,7 +139,10 @@ def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path, n
     monkeypatch.setenv(name, value)
     settings = environment.for_children(5, 43, tmp_path)
     assert settings[name] == value
-    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in settings
+    assert settings["ROS_AUTOMATIC_DISCOVERY_RANGE"] != "SYSTEM_DEFAULT"
+    profile = Path(settings["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    assert "<participant" not in profile
+    assert "<nanosec>20000000</nanosec>" in profile  # what is lost is asked for at once
 
 
 @pytest.mark.parametrize(
