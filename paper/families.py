@@ -39,10 +39,12 @@ PARTS = ("search", "rare", "sweep")
 
 
 def searched(found: Found) -> dict[str, Any]:
-    """The flights of a search, how many were refused, and the least margin of each promise among the others."""
+    """The flights of a search, how many were refused, how many of the others broke a promise, and the least margins."""
     refused = (found.margins == NO_MARGIN).all(axis=1)
-    worst = dict(zip(MARGINS, _least(found.margins[~refused]), strict=True))
-    return {"flights": len(refused), "refused": int(refused.sum()), "worst": worst}
+    others = found.margins[~refused]
+    counts = {"flights": len(refused), "refused": int(refused.sum())}
+    broken = {name: int(of.sum()) for name, of in zip(MARGINS, (others < 0.0).T, strict=True)}
+    return counts | {"broken": broken, "worst": dict(zip(MARGINS, _least(others), strict=True))}
 
 
 def _least(margins: Array) -> list[float | None]:

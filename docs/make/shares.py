@@ -66,8 +66,15 @@ def _searched(parts: dict[str, Any]) -> list[str]:
     if "search" not in parts:
         return [_OPEN] * 5
     found = parts["search"]
-    left = ["none made" if one is None else f"{100 * one:.1f} %" for one in found["worst"].values()]
+    left = [
+        "none made" if one is None else f"{100 * one:.1f} %{_broken(found['broken'][name])}"
+        for name, one in found["worst"].items()
+    ]
     return [str(found["flights"]), str(found["refused"]), *left]
+
+
+def _broken(count: int) -> str:
+    return f", broken by {count}" if count else ""
 
 
 def _probability(parts: dict[str, Any]) -> str:

@@ -39,6 +39,7 @@ def test_refused_flights_are_counted_and_have_no_worst_margin() -> None:
     assert found == {
         "flights": 3,
         "refused": 1,
+        "broken": {"keep_out_margin": 0, "deadline_margin": 1, "return_margin": 0},
         "worst": {"keep_out_margin": 0.2, "deadline_margin": -0.1, "return_margin": None},
     }
 
@@ -66,6 +67,7 @@ def test_a_part_that_is_flown_again_leaves_the_others(
     found = {
         "flights": 9,
         "refused": 2,
+        "broken": dict.fromkeys(MARGINS, 0) | {MARGINS[1]: 3},
         "worst": dict.fromkeys(MARGINS, 0.0123) | {MARGINS[2]: None},
     }
     rare = {"probability": 0.0, "low": 0.0, "high": 1e-4, "flights": 5000}
@@ -75,7 +77,9 @@ def test_a_part_that_is_flown_again_leaves_the_others(
         assert families.main(["near", "--part", part]) == 0
     row = next(line for line in shares.regions()["families"].splitlines() if "`near`" in line)
     assert row == (
-        "| `near` |" + 4 * " not flown |" + " 9 | 2 | 1.2 % | 1.2 % | none made | at most 0.0001 |"
+        "| `near` |"
+        + 4 * " not flown |"
+        + " 9 | 2 | 1.2 % | 1.2 %, broken by 3 | none made | at most 0.0001 |"
     )
 
 
