@@ -303,6 +303,38 @@ def test_plain_gnss_flies_the_scenario_that_is_made_for_it(kind):
     assert verdict_on(fleet.recording()).verdict == MET
 
 
+def field_in_wind(tmp_path, kind, wind_m_s):
+    """`field_gnss_4` in a steady wind and a drag of 0.3 1/s, behind stand-ins that take off against it."""
+    path = tmp_path / "wind.yaml"
+    path.write_text(
+        "extends: field_gnss_4\nname: wind\ntiming: {duration_s: 25}\n"
+        f"world: {{wind_m_s: [{wind_m_s}, 0, 0]}}\nplant: {{quadrotor: {{drag_1_s: 0.3}}}}\n"
+        f"mavlink: {{autopilot: {AUTOPILOTS[kind]}}}\n"
+    )
+    return MavlinkFleet(load_scenario(str(path)).bridged(), kind, gnss="plain")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "wind_m_s", "worst_m"), [("arducopter", 14, 1.6), ("px4", 16, 3.1)]
+)
+def test_a_steady_wind_is_flown_as_the_page_for_the_field_says(tmp_path, kind, wind_m_s, worst_m):
+    """It takes 23 of 30 degrees of tilt, and 4.8 of 5 m/s^2."""
+    fleet = field_in_wind(tmp_path, kind, wind_m_s).airborne().form().run(25.5).land()
+    found = verdict_on(fleet.recording())
+    assert found.verdict == MET
+    assert max(uav.max_error_after_all_m for uav in found.uavs) < worst_m
+
+
+@pytest.mark.slow
+def test_in_a_wind_beyond_the_tilt_all_land(tmp_path):
+    fleet = field_in_wind(tmp_path, "arducopter", 16).airborne().form()
+    fleet.run(60.0, until=lambda: all(uav.bridge.procedure.over for uav in fleet.uavs.values()))
+    assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
+    faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
+    assert any("formation given up: it swings" in fault for fault in faults), faults
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_vehicle_far_from_its_start_is_not_armed(count):
     """Also when it is the last to be ready: then it passes several steps at once."""
