@@ -12,7 +12,7 @@ from ptnsbc_io.mavlink.link import MavlinkLink, link_to
 from ptnsbc_io.mavlink.transport import PortTakenError
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
-from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, ON_GROUND_M, Placement
+from ptnsbc_nodes.bridge.procedure.companions import HEARD_S, ON_GROUND_M, Placement, strayed
 from ptnsbc_nodes.bridge.procedure.hazards import FormationWatch
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
@@ -283,6 +283,7 @@ class Bridge:
             not_ready=placement.not_ready(now_s),
             not_armed=placement.not_armed(now_s),
             climbs_first=placement.climbs_first() if before_arming or step is Step.ARMED else "",
+            strayed=strayed(placement, self._mavlink.start_tolerance_m),
             companion_out=placement.out(),
             vehicle_warning=", ".join(filter(None, words)),
             left_behind=f"armed{place} in {vehicle.mode_name or 'no mode'}: {self.fate}",

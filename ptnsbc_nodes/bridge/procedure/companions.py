@@ -175,3 +175,12 @@ class Placement:
         high_m = min(low_m + last * apart_m, float(guard.high[2]))
         low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, float(guard.low[2]))
         return low_m + (high_m - low_m) * uav_ids.index(self._uav_id) / max(last, 1)
+
+
+def strayed(placement: Placement, start_tolerance_m: float) -> str:
+    """The way that the wind, or drift, has carried a vehicle off its start; empty while it is above it."""
+    position, limit_m = placement.position, 2.0 * (start_tolerance_m + placement.error_m)
+    away_m = 0.0 if position is None else math.dist(position[:2], placement.start[:2])
+    if away_m <= limit_m:
+        return ""
+    return f"carried {away_m:.1f} m off its start before the formation: expected at most {limit_m:.1f} m"

@@ -278,7 +278,8 @@ def _in_flight(flight: Procedure, now: VehicleSnapshot) -> Transition | None:
     awaits = flight.step in (Step.TAKEOFF, Step.AIRBORNE) and now.leg is None
     if now.companion_out and awaits and not flight.away_s:
         return Transition(Step.LAND, f"no formation: {now.companion_out}")
-    if unfit := now.battery_low or now.fence_breach:
+    strayed = now.strayed if awaits and flight.climbed else ""
+    if unfit := now.battery_low or now.fence_breach or strayed:
         return Transition(Step.LAND, unfit)
     if now.hazard:
         following = Step.LAND if flight.step is Step.TAKEOFF else Step.APART

@@ -120,6 +120,7 @@ class VehicleSnapshot:
     not_ready: str = ""  # other vehicles that are not ready to arm
     not_armed: str = ""  # other vehicles that are not armed
     climbs_first: str = ""  # other vehicles that climb before this one
+    strayed: str = ""  # how far it is off the place over which it climbed
     companion_out: str = ""  # another vehicle that will not fly, and why
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
     left_behind: str = "armed"  # and its place, mode, and what it does without its bridge

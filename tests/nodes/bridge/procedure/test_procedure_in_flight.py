@@ -179,6 +179,16 @@ def test_a_formation_that_cannot_begin_is_not_waited_for_in_the_air(step):
     assert comes_and_goes.step is Step.AIRBORNE
 
 
+@pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE])
+def test_a_vehicle_that_is_carried_off_before_the_formation_lands(step):
+    flight = Flight().run(until=step).run(DT, strayed="carried 7.0 m off", height_m=1.0)
+    assert (flight.step, flight.procedure.fault) == (Step.LAND, "carried 7.0 m off")
+    handed_over = Flight(allow_arming=False)
+    handed_over.run(until=Step.ARM).run(until=Step.AIRBORNE, armed=True, landed=False, height_m=3.0)
+    assert handed_over.run(1.0, strayed="carried 7.0 m off").step is Step.AIRBORNE
+    assert Flight().flying().run(1.0, strayed="carried 7.0 m off").step is Step.FLY
+
+
 def test_the_pilot_takes_over_before_arming():
     flight = Flight()
     flight.ignored = {CommandRequest.ARM}
