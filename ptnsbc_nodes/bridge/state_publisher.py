@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -89,7 +90,7 @@ class StatePublisher:
             return vehicle.missing
         silence = vehicle.heartbeat_age_s(now_s)
         if silence > _HEARTBEAT_S:
-            return f"no heartbeat for {silence:.1f} s"
+            return "no heartbeat" + (f" for {silence:.1f} s" if silence < math.inf else "")
         if vehicle.gnss.fix_lost(now_s):
             return "GPS fix lost"
         position_s = vehicle.pose.position_s

@@ -160,6 +160,8 @@ def test_without_heartbeat_or_fix_nothing_is_published():
     flown.state()
     assert len(flown.published) == 1
     assert flown.publisher.fault(flown.now) == "no heartbeat for 4.0 s"
+    flown.vehicle.heartbeat_s = None  # none has come yet
+    assert flown.publisher.fault(flown.now) == "no heartbeat"
 
 
 def receive(controller, stamp_ns, values):
