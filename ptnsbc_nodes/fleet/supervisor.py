@@ -275,7 +275,7 @@ def call_down(node: LauncherNode, leg: str, progress: Report, *, led: bool = Tru
     """
     refusal = node.leader.call(leg, _LANDING_CALL_S) if led else ""
     if refusal:
-        progress(f"{refusal}: every bridge is told to land by itself")
+        progress(f"every bridge is told to land by itself: {refusal}")
     if refusal is not None:
         from ptnsbc_nodes.fleet.emergency_stop import order_landing
 

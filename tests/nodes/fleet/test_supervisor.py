@@ -341,7 +341,7 @@ def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
     fleet.supervisor._land()
     assert [folder for folder, _ in told] == [tmp_path]
     assert fleet.said == [
-        f"{fleet.answer}: every bridge is told to land by itself",
+        f"every bridge is told to land by itself: {fleet.answer}",
         "bridge1: silent",
     ]
 
