@@ -12,12 +12,7 @@ from __future__ import annotations
 from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
 from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.kernel import formula, inline_kernel
-from ptnsbc_core.kinematics import (
-    is_estimate,
-    odometry_to_estimate,
-    state_to_estimate,
-    yaw_of,
-)
+from ptnsbc_core.kinematics import is_estimate, odometry_to_estimate, state_to_estimate, yaw_of
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
     MODE_FORMATION,

@@ -23,13 +23,7 @@ from typing import NamedTuple
 from ptnsbc_core.algebra import add3, axpy, dot3, norm3, scale3, sub3
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.timebase import Clock, feasible_deadline, h
-from ptnsbc_core.types import (
-    ClearanceConfig,
-    FormationPlace,
-    Recovery,
-    RecoveryConfig,
-    Vector3,
-)
+from ptnsbc_core.types import ClearanceConfig, FormationPlace, Recovery, RecoveryConfig, Vector3
 
 _ZERO = (0.0, 0.0, 0.0)
 

@@ -185,6 +185,11 @@ class Endpoints:
         short = [uav for uav, least in readers.items() if nodes[f"{self.fleet}/uav{uav}"] < least]
         return [f"{name} at uav{uav}" for uav in short]
 
+    def is_heard_by(self, topic: Topic, node_name: str) -> bool:
+        """True if a node of this name subscribes to a topic."""
+        infos = self._node.get_subscriptions_info_by_topic(full_name(self._node, topic))
+        return any(info.node_name == node_name for info in infos)
+
     def rivals(self) -> list[str]:
         """Topics of one publisher that have several, with the nodes that publish them; nothing tells which is ours."""
         rivals = []

@@ -74,8 +74,8 @@ SEVERAL_PUBLISHERS = frozenset(
 )
 """Topics on which several nodes publish."""
 
-RECORDER, SIM = "recorder", "sim"
-"""Names of recorder and sim among the processes of a flight."""
+RECORDER, SIM, LAUNCHER = "recorder", "sim", "fleet"
+"""Names of recorder, sim and the launcher that leads among the processes of a flight."""
 
 
 def odom(uav: int) -> Topic:

@@ -10,6 +10,7 @@ This module imports no rclpy: an order on this host neither needs the middleware
 
 from __future__ import annotations
 
+import fcntl
 import select
 import time
 from collections.abc import Callable, Collection
@@ -319,6 +320,9 @@ def _outcome(bridge: _Bridge, began_s: float) -> VehicleOutcome:
     return VehicleOutcome(record.called, obeyed, text)
 
 
+_BUSY = {step.value for step in (Step.ARM, Step.ARMED, Step.TAKEOFF, Step.LAND)}
+
+
 def order_return(folder: Path, uav: int, patience_s: float) -> str:
     """Send one vehicle home by its autopilot's own mode, by its bridge on this host; what it does in words.
 
@@ -326,6 +330,14 @@ def order_return(folder: Path, uav: int, patience_s: float) -> str:
         PtnsbcError: it cannot return, another one does, or it has not obeyed in time.
     """
     name = f"bridge{uav}"
+    with (folder / "return.lock").open(
+        "w"
+    ) as lock:  # two terminals: the second one sees what the first has done
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return _returned(folder, name, patience_s)
+
+
+def _returned(folder: Path, name: str, patience_s: float) -> str:
     known = {record.name: record for record in records(folder)}
     record = known.get(name)
     if record is None or not record.alive:
@@ -335,8 +347,9 @@ def order_return(folder: Path, uav: int, patience_s: float) -> str:
     home = [each.called for each in known.values() if _goes_home(each) and each.name != name]
     problem = {
         f"{record.autopilot} has no mode that returns": not AUTOPILOTS[record.autopilot].returns,
-        f"{', '.join(home)} returns, and ways home cross": bool(home),
+        f"another one returns, {', '.join(home)}, and ways home cross": bool(home),
         "its pilot flies it": record.in_pilots_hands,
+        f"it is {record.step}": record.step in _BUSY,
         "it is not in the air": not record.armed or record.landed,
     }
     if why := next((text for text, holds in problem.items() if holds), ""):

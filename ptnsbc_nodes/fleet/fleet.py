@@ -19,7 +19,7 @@ from rclpy.validate_namespace import validate_namespace
 from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_io.files import replacing
 from ptnsbc_nodes.comm.seal import seal_of
-from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.comm.topics import LAUNCHER, RECORDER
 from ptnsbc_nodes.emergency import forget_dead, list_fleet, release, runtime_folder
 from ptnsbc_nodes.fleet.child_process import (
     BRIDGE,
@@ -112,7 +112,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             LauncherNode(
                 domain,
                 # Launchers on other computers have other names.
-                "fleet" if options.leads else f"fleet_{min(options.only)}",
+                LAUNCHER if options.leads else f"{LAUNCHER}_{min(options.only)}",
                 options.namespace,
                 seal=seal_of(options.scenario),
                 shared=options.shared,

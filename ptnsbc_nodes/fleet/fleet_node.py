@@ -44,7 +44,7 @@ class FleetNode:
     def __init__(
         self,
         domain: int,
-        name: str = "fleet",
+        name: str = topics.LAUNCHER,
         namespace: str = "",
         ros_arguments: Sequence[str] = (),
         seal: Seal | None = None,

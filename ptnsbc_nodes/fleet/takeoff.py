@@ -131,8 +131,7 @@ class TakeOff:
     def _begin(self, deadline: float) -> None:
         """Call for the first leg, or wait for it; a mission that begins by the clock has begun when it is announced."""
         leader, by_clock = self._node.leader, self._options.starts_by_clock
-        if by_clock or self._options.wait:
-            leader.listen_for_start()
+        leader.listen_for_start()  # without which the leader of real vehicles refuses to begin
         if self._options.wait:
             self._progress(
                 "all are ready: the flight begins when an operator calls /formation/start"
@@ -140,7 +139,7 @@ class TakeOff:
             while not leader.begun and self._wait(math.inf):
                 pass
             return
-        while self._refusal and self._wait(deadline):
+        while self._refusal and not leader.begun and self._wait(deadline):
             self._refusal = leader.start(patience_s=2.0)
         self._node.status.mute()
         while by_clock and not leader.begun and self._wait(deadline):

@@ -116,9 +116,9 @@ def refuse_lonely_middleware() -> None:
         raise refuse("ROS_DISCOVERY_SERVER", why)
     for peer in filter(None, os.environ.get("ROS_STATIC_PEERS", "").split(";")):
         try:
-            socket.getaddrinfo(peer, None)
+            socket.getaddrinfo(peer, None, socket.AF_INET)
         except OSError:
-            why = f"{peer} is no known host: expected names or addresses, or it unset"
+            why = f"{peer} is no known host: expected names or IPv4 addresses, or it unset"
             raise refuse("ROS_STATIC_PEERS", why) from None
 
 

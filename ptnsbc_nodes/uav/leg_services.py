@@ -7,6 +7,7 @@ with the legs as JSON. Before the first epoch leg_N starts the flight: the forma
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import zip_longest
@@ -24,6 +25,8 @@ from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG
+from ptnsbc_nodes.comm.topics import LAUNCHER
+from ptnsbc_nodes.runtime.launcher import PARENT
 from ptnsbc_nodes.uav.clocks import LEAD_NS, UavClock
 from ptnsbc_nodes.uav.uav_controller import UavController, UavFlight
 from ptnsbc_sim.scenario.approach.deadline import leg_room
@@ -70,6 +73,8 @@ class LegServices:
         self._node, self._endpoints, self._flight = node, endpoints, flight
         self._clock, self._waiting_for = clock, waiting_for
         self._listeners = dict.fromkeys(flight.scenario.uav_ids, 1 + edges.options.bridged)
+        # A launcher listens for the first leg once all are ready.
+        self._launched = edges.options.bridged and PARENT in os.environ
         leads = flight.uav == flight.scenario.leader.id
         self._publish = endpoints.publisher(
             topics.EPOCH, edges.readers(topics.EPOCH) if leads else 0
@@ -161,6 +166,10 @@ class LegServices:
             if not 0.0 <= ahead_s <= _MOST_WAIT_S:
                 when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
                 return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
+        if starts and announced and self._words:
+            return "begun already: expected another leg of the mission"
+        if starts and self._launched and not self._endpoints.is_heard_by(topics.EPOCH, LAUNCHER):
+            return "not all processes and vehicles are ready: the launcher names those that are not"
         missing = self._waiting_for() if starts else ()
         return f"the leader waits for {', '.join(missing)}" if missing else None
 
@@ -190,9 +199,8 @@ class LegServices:
         if announced and (leg is None or leg.mode != MODE_FORMATION):
             name = "no leg" if leg is None else f"leg {leg.name}"
             return False, f"{name} is flown: expected the formation, which flies the mission"
-        word = Word(number, formed_s(scenario.legs, number))
-        if announced:
-            word = epochs.word(now_ns + LEAD_NS, number)
+        first = None if announced else Word(number, formed_s(scenario.legs, number))
+        word = first or epochs.word(now_ns + LEAD_NS, number)
         try:
             flown = scenario.with_words((*scenario.words, word))
         except PtnsbcError as error:

@@ -17,6 +17,7 @@ from mavlink_wires import Far, heartbeat
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.emergency import (
     Order,
     OrderPort,
@@ -528,6 +529,8 @@ def test_one_vehicle_alone_is_sent_home_and_nothing_is_latched(bridge, tmp_path)
         ({"in_pilots_hands": True}, "its pilot flies it"),
         ({"armed": False}, "it is not in the air"),
         ({"landed": True}, "it is not in the air"),
+        ({"step": Step.TAKEOFF.value}, "it is taking off"),
+        ({"step": Step.LAND.value}, "it is landing"),
         ({"ended": True}, "no bridge of this host"),
     ],
 )
@@ -541,7 +544,7 @@ def test_who_cannot_return_is_told_nothing(bridge, tmp_path, changes, why):
 def test_ways_home_cross(bridge, tmp_path):
     bridge("bridge2", mode="RTL", in_pilots_hands=True)
     one = bridge("bridge1").open()
-    with pytest.raises(PtnsbcError, match="bridge2 returns, and ways home cross"):
+    with pytest.raises(PtnsbcError, match="another one returns, bridge2, and ways home cross"):
         order_return(tmp_path, 1, PATIENCE_S)
     assert one.orders == []
 

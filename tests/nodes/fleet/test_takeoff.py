@@ -40,6 +40,11 @@ class Vehicles:
     def start(self, patience_s):
         self.started.append(patience_s)
 
+    begun = False
+
+    def listen_for_start(self):
+        pass
+
     def begins_in_s(self):
         return 0.0
 

@@ -22,6 +22,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.seal import KEY_FILE, Seal, new_key, read_key
 from ptnsbc_nodes.fleet.fleet_node import FleetNode, LeaderClient
+from ptnsbc_nodes.runtime.launcher import PARENT
 from ptnsbc_nodes.uav.uav_node import UavNode
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import CANCEL
@@ -204,6 +205,33 @@ def test_leader_takes_words_on_the_legs_of_a_mission(ros):
     ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "mission 2")])
     told = json.loads(call(ros, others.node, "mission").message)
     assert told["legs"][1]["begin_s"] == 0.5
+    assert call(ros, others.node, "start").message.startswith("begun already")
+
+
+def test_the_present_leg_is_cancelled(ros):
+    legs = [{"kind": "form", "over_s": 5}, {"kind": "go_to", "position_m": [2, 5, 6], "over_s": 9}]
+    mission = {"mission": {"legs": legs, "cancel_s": 2}}
+    others = Others(ros, load_scenario("paper_5_free", mission), LEADER)
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    assert call(ros, others.node, "cancel").success
+    ros.spin_until(lambda: len(others.epochs) == 2)
+
+
+def test_the_leader_of_real_vehicles_begins_when_its_launcher_listens(ros, scenario, monkeypatch):
+    """The launcher does so once all vehicles are in the air: an operator may call earlier."""
+    monkeypatch.setenv(PARENT, "1")
+    graph = CommunicationGraph(scenario, FlightOptions(bridged=True))
+    uav = UavNode(ros.node("controller", namespace="/uav1"), scenario, LEADER, graph)
+    operator, launcher = ros.node("operator"), ros.node(topics.LAUNCHER)
+    assert call(ros, operator, "start").message.startswith("not all processes and vehicles")
+    Endpoints(launcher, lockstep=False).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: uav.endpoints.is_heard_by(topics.EPOCH, topics.LAUNCHER))
+    assert call(ros, operator, "start").message.startswith("the leader waits for")
 
 
 def test_a_fleet_that_waits_begins_with_the_formation_and_goes_on_with_a_later_leg(ros):
