@@ -330,10 +330,8 @@ def order_return(folder: Path, uav: int, patience_s: float) -> str:
         PtnsbcError: it cannot return, another one does, or it has not obeyed in time.
     """
     name = f"bridge{uav}"
-    with (folder / "return.lock").open(
-        "w"
-    ) as lock:  # two terminals: the second one sees what the first has done
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with (folder / "return.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # of two terminals the second sees what the first has done
         return _returned(folder, name, patience_s)
 
 
@@ -358,9 +356,8 @@ def _returned(folder: Path, name: str, patience_s: float) -> str:
     try:
         while not _goes_home(record) and time.monotonic() < until_s:
             client.send(name, Order(RETURN))
-            select.select([client], [], [], _REPEAT_S)
-            answers = filter(None, map(decode_record, client.answers()))
-            record = next((each for each in answers if each.name == name), record)
+            time.sleep(_REPEAT_S)  # a bridge writes its record several times a second, unasked
+            record = next((each for each in records(folder) if each.name == name), record)
     finally:
         client.close()
     if not _goes_home(record):

@@ -71,6 +71,7 @@ class OneBridge:
         self.record = replace(
             self.record, order=order.text, armed=order.what != "kill", fault=fault, mode=mode
         )
+        write_record(self.folder, self.record)
 
     def answer(self):
         return self.record.encode()
@@ -518,6 +519,8 @@ def test_one_vehicle_alone_is_sent_home_and_nothing_is_latched(bridge, tmp_path)
     one.ignores = 2  # repeated until it shows
     assert order_return(tmp_path, 1, PATIENCE_S).startswith("bridge1 (red): returns, armed")
     assert {order.text for order in one.orders} == {"return"}
+    with pytest.raises(PtnsbcError, match=r"another one returns, bridge1 \(red\)"):
+        order_return(tmp_path, 2, PATIENCE_S)
     assert other.orders == [] and latched(tmp_path) == Order()
 
 
