@@ -60,7 +60,7 @@ def measure(plan: Plan) -> Iterator[Row]:
                         for module in _ROLES.keys() & called if _SMALL in called else ():
                             group.write_text(str(pid))
                             seen[_ROLES[module]] = look(pid)
-                time.sleep(_LOOK_S)
+                time.sleep(_LOOK_S)  # nothing tells when a launcher starts a process
         values = observer.newest()
     if fleet.process.returncode or len(seen) < len(_ROLES):
         raise BenchError(f"not flown: {fleet.log.read_text()[-2000:]}")

@@ -177,6 +177,16 @@ def test_with_a_seal_the_leader_answers_no_call_without_a_sealed_request(ros, sc
     assert call(ros, node, "stop").message == refused  # one call for one request
 
 
+def start(ros, others):
+    """Begin the flight by the operator's service, and fly its first tick."""
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+
+
 def test_leader_takes_words_on_the_legs_of_a_mission(ros):
     legs = [
         {"kind": "form", "over_s": 5},
@@ -186,12 +196,7 @@ def test_leader_takes_words_on_the_legs_of_a_mission(ros):
     others = Others(ros, load_scenario("paper_5_free", {"mission": {"legs": legs}}), LEADER)
     assert "call /formation/start first" in call(ros, others.node, "cancel").message
     assert call(ros, others.node, "leg_2").message == "the leader waits for /formation/epoch"
-    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
-    ros.spin_until(lambda: not others.uav.waiting_for())
-    assert call(ros, others.node, "start").success
-    others.odom(0)
-    others.near(0)
-    ros.spin_until(lambda: others.ticks() == [0])
+    start(ros, others)
     told = json.loads(call(ros, others.node, "mission").message)
     assert told["now_s"] == 0.0
     assert [(leg["name"], leg.get("begin_s")) for leg in told["legs"]] == [
@@ -212,12 +217,7 @@ def test_the_present_leg_is_cancelled(ros):
     legs = [{"kind": "form", "over_s": 5}, {"kind": "go_to", "position_m": [2, 5, 6], "over_s": 9}]
     mission = {"mission": {"legs": legs, "cancel_s": 2}}
     others = Others(ros, load_scenario("paper_5_free", mission), LEADER)
-    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
-    ros.spin_until(lambda: not others.uav.waiting_for())
-    assert call(ros, others.node, "start").success
-    others.odom(0)
-    others.near(0)
-    ros.spin_until(lambda: others.ticks() == [0])
+    start(ros, others)
     assert call(ros, others.node, "cancel").success
     ros.spin_until(lambda: len(others.epochs) == 2)
 
